@@ -1,6 +1,7 @@
 //! Macrosteps, limits, following errors, reports and records.
 
 use super::*;
+use crate::Excitation;
 use crate::{AxisRecord, Record};
 
 #[test]
@@ -219,4 +220,20 @@ fn a_record_has_the_command_that_its_sample_answers_wherever_the_error_counts() 
     }
     let last = kept.last().unwrap();
     assert_eq!((last.phase, last.axis[0].expected), (Phase::Off, None));
+}
+
+#[test]
+fn an_excitation_acts_in_its_macrosteps_alone() {
+    let mut rig = Rig::standing(1);
+    rig.servo.excite(0, 0, Excitation { period: vec![1e-4], macrosteps: 2..=2 }).unwrap();
+    let mut records = rig.servo.record(100);
+    for number in 1..=3 {
+        rig.order(Order::Move(macrostep(number, 10, 0.0, 0.0)));
+    }
+    rig.run(50);
+    let excited = |record: &Record| record.axis[0].excitation != 0.0;
+    let kept: Vec<_> = std::iter::from_fn(|| records.pop().ok()).collect();
+    let begin = kept.iter().position(|record| record.phase == Phase::Moving).unwrap();
+    let found: Vec<_> = (0..kept.len()).filter(|&index| excited(&kept[index])).collect();
+    assert_eq!(found, Vec::from_iter(begin + 10..begin + 20));
 }

@@ -190,6 +190,32 @@ fn following_begins_only_after_every_drive_has_power() {
     assert_eq!(rig.last_sent(), [AxisCommand::Off; 2]);
 }
 
+/// The first cycle after the time-out, also where the time-out is no multiple of the period.
+#[test]
+fn a_drive_is_not_ready_in_the_first_cycle_after_the_time_out() {
+    for timeout in [Duration::from_micros(100_000), Duration::from_micros(100_500)] {
+        let mut config = scripted::config(1);
+        config.effectors[0].enabling_timeout = timeout;
+        let after = |rig: &mut Rig| {
+            rig.run_until(Phase::Faulted);
+            let Some(StopCause::NotReady { waited }) = rig.cause() else { panic!("{:?}", rig.cause()) };
+            waited
+        };
+        let mut rig = Rig::with(&config);
+        rig.world().axes[0].dead = true;
+        rig.order(Order::Enable);
+        assert_eq!(after(&mut rig), Duration::from_millis(101));
+        // In a stop of homing.
+        let mut rig = Rig::with(&config);
+        rig.order(Order::Enable);
+        rig.order(Order::Home);
+        rig.run_until(Phase::Homing);
+        rig.world().axes[0].deaf = true;
+        rig.order(Order::Stop);
+        assert_eq!(after(&mut rig), rig.servo.effectors[0].longest_stop() + Duration::from_millis(101));
+    }
+}
+
 #[test]
 fn a_drive_that_ignores_set_points_is_not_ready() {
     let mut rig = Rig::new(2);

@@ -376,3 +376,16 @@ fn a_member_whose_homing_fails_ends_its_team() {
     assert_eq!([0, 1].map(|member| cell.servo.team_state(member).unwrap()), [TeamState::Apart; 2]);
     assert_eq!(cell.servo.fault(1), partner(0));
 }
+
+#[test]
+fn a_record_names_its_effector_and_its_fault() {
+    let mut cell = Cell::standing(&[1000.0; 2]);
+    let mut records = cell.servo.record(100);
+    cell.run(5);
+    cell.worlds[1].lock().unwrap().axes[0].state.fault = Some(FAULT);
+    cell.run(10);
+    let kept: Vec<_> = std::iter::from_fn(|| records.pop().ok()).collect();
+    let seen = |record: &crate::Record| (record.effector, record.faulted);
+    let found: Vec<_> = kept.iter().map(seen).collect();
+    assert_eq!((&found[..2], &found[28..]), (&[(0, false), (1, false)][..], &[(0, false), (1, true)][..]));
+}

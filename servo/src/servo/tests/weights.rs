@@ -87,8 +87,10 @@ fn dry_friction_that_an_axis_stuck_in_is_forgotten_as_it_begins_to_move() {
 
 #[test]
 fn a_stop_keeps_the_torque_and_the_next_power_begins_with_it() {
-    // Off, with the brake on; then on again at the same position, or after the arm was moved by hand.
-    for (config, (moved, expected)) in laws(1).iter().flat_map(|law| [(law, (0.0, WEIGHT)), (law, (10.0, 0.0))]) {
+    // Off, with the brake on; then on again at the same position, there with a load that is forgotten, or after the arm was
+    // moved by hand.
+    let cases = [(0.0, false, WEIGHT), (0.0, true, WEIGHT), (10.0, false, 0.0)];
+    for (config, (moved, forgotten, expected)) in laws(1).iter().flat_map(|law| cases.map(|case| (law, case))) {
         let mut rig = loaded(config, 0.0);
         told(&mut rig, WEIGHT, 1..=1);
         rig.order(Order::Stop);
@@ -100,6 +102,11 @@ fn a_stop_keeps_the_torque_and_the_next_power_begins_with_it() {
         rig.world().axes[0].load = 0.0;
         rig.world().axes[0].spin = 0.0;
         rig.world().axes[0].state.position = AT + moved;
+        if forgotten {
+            rig.world().axes[0].state.homing = Homing::NotHomed;
+            rig.run(3);
+            rig.world().axes[0].state.homing = Homing::Attained;
+        }
         rig.run(5);
         rig.world().sent.clear();
         rig.order(Order::Enable);
