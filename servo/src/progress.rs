@@ -185,17 +185,50 @@ mod tests {
             assert_eq!(take(7 + step), found, "{samples} samples, then {step}");
             assert!(!take(7 + 2 * step), "the next step of {step}");
         }
-        // A motor that accelerates from rest with almost four times its greatest acceleration.
-        for max_acceleration in [1500.0, 150_000.0] {
+    }
+
+    #[test]
+    fn a_motor_starts_with_less_than_four_times_its_acceleration() {
+        let fine = 4000.0 / std::f64::consts::TAU;
+        for (max_acceleration, multiple, starts) in
+            [(1500.0, 3.8, false), (150_000.0, 3.8, false), (150_000.0, 4.2, true)]
+        {
             let mut progress = Progress::default();
-            for number in 0..100 {
+            let begins = |number| {
                 let time = (f64::from(number) * DT - 0.05).max(0.0);
-                let increments = Increments((1.9 * max_acceleration * time * time * fine) as i32);
+                let increments = Increments((0.5 * multiple * max_acceleration * time * time * fine) as i32);
                 progress.observe(&AxisState { increments, ..AxisState::default() }, DT);
-                let found = progress.started(fine, 250.0, max_acceleration);
-                assert_eq!(found, None, "{max_acceleration} rad/s², {time} s");
-            }
+                progress.started(fine, 250.0, max_acceleration).is_some()
+            };
+            let found = (0..100).map(begins).filter(|&begins| begins).count();
+            assert_eq!(found, usize::from(starts), "{multiple} times {max_acceleration} rad/s²");
         }
+    }
+
+    #[test]
+    fn a_step_of_two_increments_is_no_start() {
+        // Both steps are faster than a quarter of 250 rad/s.
+        for (step, found) in [(2, false), (3, true)] {
+            let mut progress = Progress::default();
+            for counter in [0, 0, 0, 0, 0, step] {
+                progress.observe(&AxisState { increments: Increments(counter), ..AxisState::default() }, DT);
+            }
+            assert_eq!(progress.started(8.0, 250.0, 1500.0).is_some(), found, "{step}");
+        }
+    }
+
+    #[test]
+    fn the_speed_of_a_motor_that_brakes_in_three_samples_is_remembered_for_sixteen() {
+        let fine = 4000.0 / std::f64::consts::TAU;
+        let mut progress = Progress::default();
+        let frozen: Vec<usize> = (0..100)
+            .filter(|&number| {
+                let increments = Increments((60.0 * DT * number.min(50) as f64 * fine) as i32);
+                progress.observe(&AxisState { increments, ..AxisState::default() }, DT);
+                progress.frozen(fine, 250.0, 10_000.0).is_some()
+            })
+            .collect();
+        assert_eq!(frozen, Vec::from_iter(50 + SAMPLES..=50 + 4 * SAMPLES));
     }
 
     #[test]
