@@ -267,6 +267,12 @@ impl Rig<'_> {
         let ended = run.output();
         drop(hang);
         let after = self.emulator.at_rest(began);
+        let told = match failure {
+            Failure::Kill => Some("the controller has ended without switching its drives off: the guardian put all"),
+            Failure::Pause(_) | Failure::Hang => Some("mrroc: no servo cycle: the guardian put all"),
+            Failure::Unguarded => None,
+        };
+        assert!(told.is_none_or(|told| ended.stderr.contains(told)), "{failure:?}: {ended:?}");
         let (rested, last) = (stands.last().expect("samples"), after.last().expect("samples"));
         if failure == Failure::Unguarded {
             assert!(ended.json()["faults"][0]["what"].as_str().unwrap().contains("guardian"), "{ended:?}");

@@ -161,7 +161,9 @@ fn a_running_controller_is_stopped_by_another_process() {
     let _emulator = emulate(&cell, &ttys);
     let alone = stop();
     assert_eq!(alone.status.code(), Some(2), "{alone:?}");
-    assert!(alone.stderr.contains("no process of this computer controls"), "{alone:?}");
+    let line = ttys.join("column").display().to_string();
+    let told = ["no process of this computer controls ", &line, "give the --can and --serial of the run"];
+    assert!(told.iter().all(|part| alone.stderr.contains(part)), "{alone:?}");
 
     let record = directory.path("record.csv");
     let moving = |text: &str| text.matches(",wrist-roll,Moving,").count() > 50;

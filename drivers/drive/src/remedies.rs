@@ -54,6 +54,9 @@ const fn of_class(code: u16) -> &'static str {
         0x7000..=0x7FFF => "check motor, brake and encoder",
         0x8100..=0x81FF => BUS_CABLE,
         0x8200..=0x82FF => "check the PDOs, and the host with `mrroc doctor`",
+        0x8A80 | 0x8A81 => "move the axis off the switch, check switch and wiring",
+        0x8A82 => "correct the motion, or the position limits of the drive",
+        0x8A88..=0x8A8B => "check the STO circuit of the drive",
         0x8300..=0x8FFF => "look for a collision, a blocked axis or a high load",
         _ => "see the manual of the drive",
     }

@@ -202,7 +202,7 @@ impl Guardian {
         let inherited = inherited.chain(watchdog_descriptor).collect();
         let mut command = Command::new("/proc/self/exe");
         command.arg0(NAME).env(VARIABLE, file.as_raw_fd().to_string()).current_dir("/");
-        command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
+        command.stdin(Stdio::null()).stdout(Stdio::null());
         process::inherit(&mut command, inherited);
         let child = command.spawn().map_err(spawn)?;
         let verdict = Arc::new(AtomicU8::new(FINE));

@@ -140,6 +140,24 @@ extern "C" fn entry() {
 /// Exit status of a process that got no orders.
 const NO_ORDERS: i32 = 2;
 
+/// Messages on the standard error of the controller. A controller that was killed cannot report, and a controller that
+/// hangs reports later.
+const CONTROLLER_ENDED: &str = "mrroc: the controller has ended without switching its drives off: the guardian put all \
+     drives that it guards into their error state; the next run brings them up\n";
+const NO_CYCLE: &str = "mrroc: no servo cycle: the guardian put all drives that it guards into their error state\n";
+
+/// Writes a message to standard error, unless that would wait.
+fn tell(message: &str) {
+    let mut writable = libc::pollfd { fd: libc::STDERR_FILENO, events: libc::POLLOUT, revents: 0 };
+    // SAFETY: one valid pollfd, and a write that reads as many bytes as stated. A pipe that is writable has room for a
+    // page, which is longer than the messages.
+    unsafe {
+        if libc::poll(&raw mut writable, 1, 0) == 1 && writable.revents & libc::POLLOUT != 0 {
+            libc::write(libc::STDERR_FILENO, message.as_ptr().cast(), message.len());
+        }
+    }
+}
+
 /// Guards the lines of the orders in the memory file `memory` until the end. Returns the exit status.
 fn guard(memory: RawFd) -> i32 {
     // An ordinary file under this number is not mapped before its orders are checked.
@@ -170,9 +188,17 @@ fn guard(memory: RawFd) -> i32 {
         }
         watchdog.serve(state, phase, now);
         match state {
-            State::Over => return 0,
+            State::Over => {
+                if alone && matches!(phase, Phase::Run | Phase::Leave) {
+                    tell(CONTROLLER_ENDED);
+                }
+                return 0;
+            }
             _ if state.stops() => orders.lines().iter().for_each(|line| write(line, begins)),
             _ => {}
+        }
+        if begins && !alone && phase == Phase::Run {
+            tell(NO_CYCLE);
         }
     }
 }

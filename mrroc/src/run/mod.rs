@@ -257,6 +257,8 @@ pub fn run(
     for fault in end.faults.iter_mut().chain(&mut end.recovered) {
         fault.add_cycles(&end.tracks);
     }
+    // Every instruction that a fault refuses names the fault again.
+    end.recovered.dedup_by(|next, first| first.number.is_some() && first.number == next.number && first.is_same(next));
     if let Some(Err(error)) = spikes.map(|file| spikes::write(file, "servo", take(&mut end.spikes))) {
         end.faults.push(FaultReport::of_run(error));
     }

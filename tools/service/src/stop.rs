@@ -14,6 +14,7 @@ use anyhow::{Context, bail};
 use can::clock;
 use clap::Args;
 use mrroc::bench::Places;
+use mrroc::bench::interfaces::Interface;
 use mrroc::cell::CellFile;
 use nix::sys::signal::{Signal, kill};
 use nix::sys::stat::{major, minor};
@@ -44,9 +45,18 @@ pub struct Options {
 /// An error: no controller was found, or it must not be signalled.
 pub fn stop(options: &Options) -> anyhow::Result<ExitCode> {
     let places = Places { can: options.can.clone(), serial: options.serial.clone(), set_bitrate: false };
-    let found = controllers(&CellFile::read(&options.cell)?, &places)?;
+    let (interfaces, ttys) = places.all(&CellFile::read(&options.cell)?)?;
+    let found = controllers(&interfaces, &ttys)?;
     if found.is_empty() {
-        bail!("no process of this computer controls an interface or a line of {}", options.cell.display());
+        // The tty of an adapter is among the ttys.
+        let cards = interfaces.iter().filter(|interface| matches!(interface, Interface::SocketCan(_)));
+        let ttys = ttys.iter().map(|tty| tty.display().to_string());
+        let places: Vec<_> = cards.map(ToString::to_string).chain(ttys).collect();
+        bail!(
+            "no process of this computer controls {}: give the --can and --serial of the run; only Ctrl-C stops a run on \
+             the benches lockstep and emulated",
+            places.join(", ")
+        );
     }
     for &process in &found {
         kill(process, Signal::SIGTERM).with_context(|| format!("process {process} cannot be stopped"))?;
@@ -56,7 +66,10 @@ pub fn stop(options: &Options) -> anyhow::Result<ExitCode> {
     for process in found {
         while is_running(process) {
             if clock::now() > deadline {
-                say(format_args!("process {process}: has not ended after {} s", options.timeout))?;
+                let waited = options.timeout;
+                say(format_args!(
+                    "process {process}: has not ended after {waited} s: press the emergency stop, then `kill -KILL {process}`"
+                ))?;
                 return Ok(ExitCode::from(1));
             }
             clock::sleep_until(clock::now() + LOOK);
@@ -74,11 +87,10 @@ fn is_running(process: Pid) -> bool {
     !matches!(state, None | Some('Z' | 'X'))
 }
 
-/// The processes that control a bus or a line of the cell, each once.
-fn controllers(file: &CellFile, places: &Places) -> anyhow::Result<BTreeSet<Pid>> {
-    let (interfaces, ttys) = places.all(file)?;
+/// The processes that control one of the interfaces or lines, each once.
+fn controllers(interfaces: &[Interface], ttys: &[PathBuf]) -> anyhow::Result<BTreeSet<Pid>> {
     let mut found = BTreeSet::new();
-    for interface in &interfaces {
+    for interface in interfaces {
         // An interface that does not exist has no controller.
         if let Some(holder) = interface.controller().ok().flatten() {
             let process = holder.process().with_context(|| format!("{interface}: its controller hides its process"))?;
