@@ -274,6 +274,24 @@ fn homing_fails_by_the_drive_and_by_time_and_halts_first() {
     }
 }
 
+/// The first cycle after the time-out, also where the time-out is no multiple of the period.
+#[test]
+fn homing_fails_in_the_first_cycle_after_its_time_out() {
+    for timeout in [Duration::from_micros(50_000), Duration::from_micros(50_500)] {
+        let mut config = scripted::config(1);
+        config.effectors[0].homing_timeout = timeout;
+        let mut rig = Rig::with(&config);
+        rig.world().axes[0].homing_takes = 0;
+        rig.order(Order::Enable);
+        rig.order(Order::Home);
+        rig.run_until(Phase::Homing);
+        rig.run(50);
+        assert_eq!(rig.phase(), Phase::Homing, "{timeout:?}");
+        rig.run(1);
+        assert_eq!((rig.phase(), rig.cause()), (Phase::Stopping, Some(StopCause::HomingFailed)), "{timeout:?}");
+    }
+}
+
 #[test]
 fn a_failure_of_an_earlier_homing_does_not_fail_the_next() {
     let mut rig = Rig::new(1);
