@@ -260,7 +260,11 @@ fn homing_that_has_nothing_to_do_is_answered() {
 #[test]
 fn homing_fails_by_the_drive_and_by_time_and_halts_first() {
     for (fails, takes) in [(true, 10), (false, 0)] {
-        let mut rig = Rig::new(2);
+        let mut config = scripted::config(2);
+        if fails {
+            config.effectors[0].homing_timeout = Duration::from_secs(3_600);
+        }
+        let mut rig = Rig::with(&config);
         rig.world().axes[1].homing_fails = fails;
         rig.world().axes[1].homing_takes = takes;
         rig.order(Order::Enable);

@@ -439,3 +439,13 @@ fn a_stop_ends_in_time_though_its_bus_is_gone_or_takes_nothing() {
         }
     }
 }
+
+#[test]
+fn an_enable_order_before_a_stop_order_gives_power() {
+    let mut rig = Rig::new(1);
+    rig.world().axes[0].state.homing = Homing::Attained;
+    rig.order(Order::Enable);
+    rig.order(Order::Stop);
+    rig.run(20);
+    assert_eq!((rig.phase(), rig.servo.counters().refused_orders), (Phase::Standing, 0));
+}
