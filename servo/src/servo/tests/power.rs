@@ -4,7 +4,7 @@ use drive::{EmergencyStop, Fault};
 
 use super::scripted::AtIndex;
 use super::*;
-use crate::{FrozenWatch, NotUp, StopCategory};
+use crate::{FrozenWatch, NotUp, ServoState, StopCategory};
 
 #[test]
 fn bring_up_is_ready_when_every_group_is_and_an_error_names_its_group() {
@@ -87,6 +87,39 @@ fn a_failed_reset_ends_after_a_second_and_reports_the_fault_that_persists() {
     assert_eq!(reports.iter().map(|report| report.resetting).collect::<Vec<_>>(), [true, false]);
     assert_eq!(reports[1].fault.map(|fault| (fault.axis, fault.cause)), Some((Some(1), StopCause::Drive(other))));
     assert_eq!(reports[1].snapshot.phase, Phase::Faulted);
+}
+
+/// The first cycle after the time-out, also where the time-out is no multiple of the period.
+#[test]
+fn a_failed_reset_ends_in_the_first_cycle_after_its_time_out_and_keeps_the_category_of_the_stop() {
+    for timeout in [Duration::from_micros(50_000), Duration::from_micros(50_500)] {
+        let mut config = scripted::config(1);
+        config.effectors[0].enabling_timeout = timeout;
+        let mut rig = stopping_at_once(&config);
+        rig.world().axes[0].stubborn = true;
+        rig.world().axes[0].state.fault = Some(FAULT);
+        rig.run(5);
+        rig.order(Order::ResetFault);
+        rig.run(51);
+        assert_eq!(rig.servo.state(0), Some(ServoState::Resetting), "{timeout:?}");
+        rig.run(1);
+        assert_eq!(rig.servo.state(0), Some(ServoState::Faulted), "{timeout:?}");
+        let found = rig.servo.fault(0).map(|fault| (fault.cause, fault.category));
+        assert_eq!(found, Some((StopCause::Drive(FAULT), StopCategory::Zero)));
+    }
+}
+
+/// An effector that was stopped by category 0.
+fn stopping_at_once(config: &ServoConfig) -> Rig {
+    let mut rig = Rig::with(config).stand();
+    rig.accelerate(500.0, 2, 20);
+    rig.run(40);
+    rig.order(Order::Disable);
+    rig.world().axes[0].runs_at = Some(200.0);
+    rig.run_until(Phase::Faulted);
+    rig.world().axes[0].runs_at = None;
+    assert_eq!(rig.servo.fault(0).map(|fault| fault.category), Some(StopCategory::Zero));
+    rig
 }
 
 #[test]
