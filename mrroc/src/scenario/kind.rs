@@ -293,15 +293,15 @@ impl FaultKind {
     }
 
     fn on_line(self, line: hil::LineId, numbers: &FaultNumbers) -> Result<Vec<WorldFault>, &'static str> {
-        let &FaultNumbers { probability, seed, late, .. } = numbers;
-        let faults = |to_device, to_host| LineFaults { seed, to_device, to_host, late: Duration::ZERO };
+        let &FaultNumbers { probability, count, seed, late, .. } = numbers;
+        let faults = |to_device, to_host| LineFaults { seed, to_device, to_host, late: Duration::ZERO, count };
         let fault = |faults| Ok(vec![WorldFault::Line { line, faults }]);
         let none = WireFaults::default();
         let both = |wire| fault(faults(wire, wire));
         match self {
             Self::Lost if probability >= 1.0 => fault(faults(none, WireFaults { stuck: Some(Stuck::Silent), ..none })),
             Self::Lost | Self::Torn => both(WireFaults { tear: 0.1 * probability, ..none }),
-            Self::Late => fault(LineFaults { late, ..LineFaults::default() }),
+            Self::Late => fault(LineFaults { late, count, ..LineFaults::default() }),
             Self::Duplicated => both(WireFaults { duplicate: 0.01 * probability, ..none }),
             Self::Corrupted => both(WireFaults { bit_error_rate: 0.01 * probability, ..none }),
             Self::Garbage => {
