@@ -199,6 +199,49 @@ impl FaultKind {
         serde_json::to_value(self).ok().and_then(|name| name.as_str().map(str::to_owned)).unwrap_or_default()
     }
 
+    /// Whether the kind uses this key of a scenario at one of its places. Every kind uses the keys that are not listed.
+    pub(super) fn uses(self, key: &str) -> bool {
+        let of_frames = matches!(self, Self::Lost | Self::Late | Self::Duplicated | Self::Corrupted | Self::Reordered);
+        let counts = of_frames || matches!(self, Self::HeartbeatSilent | Self::Torn);
+        let of_host = matches!(
+            self,
+            Self::BusOff
+                | Self::ErrorPassive
+                | Self::InterfaceDown
+                | Self::InterfaceRemoved
+                | Self::QueueFull
+                | Self::NoAcknowledge
+        );
+        let once = matches!(
+            self,
+            Self::InterfaceRemoved
+                | Self::HangUp
+                | Self::Garbage
+                | Self::NodeReset
+                | Self::EncoderJump
+                | Self::ForgedEmergency
+        );
+        match key {
+            "frame" => of_frames,
+            "count" | "probability" => counts,
+            "seed" => counts || matches!(self, Self::WrongBaud | Self::SecondMaster),
+            "duration" => !once,
+            "node" => !of_host && self != Self::SecondMaster,
+            "late_ms" => self == Self::Late,
+            "increments" => self == Self::EncoderJump,
+            "share" => self == Self::SaggingSupply,
+            "distance" | "stiffness" => self == Self::Collision,
+            "code" => self == Self::ForgedEmergency,
+            _ => true,
+        }
+    }
+
+    /// Whether the place must have a drive.
+    pub(super) fn is_of_drive(self) -> bool {
+        let of_device = matches!(self, Self::AnswersFrozen | Self::NodeReset | Self::PowerCycle | Self::Unplugged);
+        of_device || self.of_plant(&FaultNumbers::default()).is_some()
+    }
+
     /// The faults of the world, or what is wrong with the place.
     pub fn faults(self, place: &FaultPlace, numbers: &FaultNumbers) -> Result<Vec<WorldFault>, &'static str> {
         if let Some(fault) = self.of_plant(numbers) {
