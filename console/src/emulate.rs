@@ -22,7 +22,7 @@ use mrroc::bench::emulated_time::EmulatedTime;
 use mrroc::bench::plants::{EmulatedCell, Payloads};
 use mrroc::bench::{emulation, interfaces};
 use mrroc::cell::CellFile;
-use mrroc::scenario::{Scenario, ScenarioRun};
+use mrroc::scenario::{Scenario, ScenarioProbe, ScenarioRun};
 use mrroc::signals;
 
 /// Longest time between two checks for Ctrl-C.
@@ -55,7 +55,7 @@ pub(crate) struct Options {
     #[arg(long, value_name = "FILE")]
     scenario: Option<PathBuf>,
     /// Read faults from standard input, one per line: the kind, then KEY=VALUE as in a scenario file, for example
-    /// `lost axis=irb6/column duration=0.1`.
+    /// `lost axis=irb6/column duration=0.1`. The faults begin at once, and have no `at`, `cycle` and `when`.
     #[arg(long)]
     live: bool,
 }
@@ -162,10 +162,12 @@ pub(crate) fn emulate(options: &Options) -> anyhow::Result<ExitCode> {
         }
         names.push(format!("of service ports in {}", directory.display()));
     }
+    let mut played = ScenarioProbe::default();
     if faulty {
         let ids = emulated.ids();
         let mut run = ScenarioRun::empty(&file);
         scenario.iter().try_for_each(|scenario| run.add(scenario, &file, &ids))?;
+        played = run.watch();
         let live = options.live.then(|| {
             let tell = |said: &str| mrroc::streams::warn(format_args!("mrroc: {said}"));
             LiveFaults { lines: standard_input(), file: file.clone(), ids, tell: Box::new(tell) }
@@ -201,6 +203,9 @@ pub(crate) fn emulate(options: &Options) -> anyhow::Result<ExitCode> {
         };
         threads.into_iter().map(|thread| thread.join().expect("serving a bus does not panic")).fold(served, Result::and)
     })?;
+    for idle in played.idle() {
+        mrroc::streams::warn(format_args!("mrroc: {idle}"));
+    }
     Ok(ExitCode::SUCCESS)
 }
 

@@ -149,6 +149,11 @@ impl VirtualBus {
         self.faults.remove(number, now);
     }
 
+    /// Whether fault `number` of frames is in effect and has damaged a frame.
+    pub(crate) fn has_damaged(&self, number: u64) -> bool {
+        self.faults.has_damaged(number)
+    }
+
     /// Begins or ends a fault of the controller or the interface of the first host at `now`.
     pub fn set_host_fault(&mut self, fault: HostFault, on: bool, now: Instant) {
         let Some(host) = self.hosts.first_mut() else {

@@ -24,7 +24,7 @@ use can::Instant;
 use serial::{Settings, TimedByte, VirtualLinePeer};
 
 use crate::{DeviceFault, LineDevice};
-use faults::Wire;
+use faults::{Damage, Wire};
 
 /// Bytes of the line in a full packet of a USB adapter. Two more bytes of the packet carry the state of the adapter.
 pub const USB_PACKET: usize = 62;
@@ -43,6 +43,7 @@ pub struct SerialLine {
     /// Delay of bytes to the host, and the time of the last delivery.
     late: Duration,
     delivered: Instant,
+    damage: Damage,
 }
 
 /// Counters of a line, before and after the effect of its faults.
@@ -100,7 +101,7 @@ impl Direction {
 
     fn start(&mut self, byte: u8, at: Instant) {
         if at > self.free_at {
-            self.wire.torn = false;
+            self.wire.begin_telegram();
         }
         (self.free_at, self.burst, self.count) = self.end(at);
         self.on_wire = Some(TimedByte { byte, at: self.free_at });
@@ -108,11 +109,11 @@ impl Direction {
     }
 
     /// Bytes that arrive for the byte that ends now: zero, one or two.
-    fn finish(&mut self) -> [Option<TimedByte>; 2] {
+    fn finish(&mut self, damage: &mut Damage) -> [Option<TimedByte>; 2] {
         let Some(ended) = self.on_wire.take() else {
             return [None, None];
         };
-        let arrives = self.wire.carry(ended.byte);
+        let arrives = self.wire.carry(ended.byte, damage);
         arrives.map(|byte| byte.map(|byte| TimedByte { byte, ..ended }))
     }
 }
@@ -183,6 +184,7 @@ impl SerialLine {
             adapter: latency.map(|latency| Adapter { latency, since: Instant::ZERO, bytes: [0; USB_PACKET], count: 0 }),
             late: Duration::ZERO,
             delivered: Instant::ZERO,
+            damage: Damage::default(),
         };
         line.collect();
         line
@@ -210,6 +212,12 @@ impl SerialLine {
         self.to_device.wire.set(faults.to_device, faults.seed);
         self.to_host.wire.set(faults.to_host, !faults.seed);
         self.late = faults.late;
+        self.damage = Damage { left: faults.count, telegrams: 0 };
+    }
+
+    /// Number of telegrams, of both directions, that the present faults have damaged.
+    pub fn damaged(&self) -> u64 {
+        self.damage.telegrams
     }
 
     /// Passes bytes of a third party at `now`, to the host or to the device, without time on the line.
@@ -217,7 +225,7 @@ impl SerialLine {
         self.advance(now);
         for &byte in bytes {
             if to_host {
-                self.deliver(TimedByte { byte, at: now });
+                self.deliver(TimedByte { byte, at: now }, self.late);
             } else {
                 self.device.receive(byte, now);
             }
@@ -244,9 +252,9 @@ impl SerialLine {
         self.device.as_ref()
     }
 
-    /// Delivers a byte to the host. Times of delivery do not decrease.
-    fn deliver(&mut self, byte: TimedByte) {
-        self.delivered = self.delivered.max(byte.at + self.late);
+    /// Delivers a byte to the host, later by `late`. Times of delivery do not decrease.
+    fn deliver(&mut self, byte: TimedByte, late: Duration) {
+        self.delivered = self.delivered.max(byte.at + late);
         if let Some(host) = &mut self.host {
             host.deliver(TimedByte { at: self.delivered, ..byte });
         }
@@ -305,7 +313,7 @@ impl SerialLine {
                     }
                 }
                 LineEvent::ToDevice => {
-                    for arrived in self.to_device.finish().into_iter().flatten() {
+                    for arrived in self.to_device.finish(&mut self.damage).into_iter().flatten() {
                         self.device.receive(arrived.byte, self.now);
                     }
                     self.take_from_host();
@@ -314,10 +322,14 @@ impl SerialLine {
                 LineEvent::ToHost => {
                     // The timer may have expired, with no byte to deliver, while the byte was on its way.
                     self.run_adapter();
-                    for arrived in self.to_host.finish().into_iter().flatten() {
+                    for arrived in self.to_host.finish(&mut self.damage).into_iter().flatten() {
                         match &mut self.adapter {
                             Some(adapter) => adapter.collect(arrived, self.host.as_mut()),
-                            None => self.deliver(arrived),
+                            None if self.late.is_zero() => self.deliver(arrived, Duration::ZERO),
+                            None => {
+                                let late = self.to_host.wire.damages(&mut self.damage);
+                                self.deliver(arrived, if late { self.late } else { Duration::ZERO });
+                            }
                         }
                     }
                     self.collect();

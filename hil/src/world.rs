@@ -170,6 +170,8 @@ pub struct FaultInEffect {
     fault: WorldFault,
     /// Number of the fault on its bus.
     number: u64,
+    /// Whether the place has such a fault.
+    known: bool,
 }
 
 impl World {
@@ -304,17 +306,24 @@ impl World {
     /// Begins a fault at `now`, after advancing the world to `now`.
     pub fn begin_fault(&mut self, fault: &WorldFault, now: Instant) -> FaultInEffect {
         self.advance(now);
-        let number = match fault {
+        let (number, known) = match fault {
             WorldFault::Frames { bus, frames, fault, probability, count, seed } => {
-                self.buses[bus.0].begin_frame_fault(*frames, *fault, (*probability, *count, *seed))
+                (self.buses[bus.0].begin_frame_fault(*frames, *fault, (*probability, *count, *seed)), true)
             }
-            WorldFault::Foreign { bus, frame, every } => self.buses[bus.0].begin_foreign(*frame, now, *every),
-            _ => {
-                self.switch_fault(fault, true, now);
-                0
-            }
+            WorldFault::Foreign { bus, frame, every } => (self.buses[bus.0].begin_foreign(*frame, now, *every), true),
+            _ => (0, self.switch_fault(fault, true, now)),
         };
-        FaultInEffect { fault: fault.clone(), number }
+        FaultInEffect { fault: fault.clone(), number, known }
+    }
+
+    /// Whether a fault has acted before its end. A fault of frames or of the bytes of a line acts when it damages a frame
+    /// or telegram, and every other fault at its beginning.
+    pub fn has_acted(&self, in_effect: &FaultInEffect) -> bool {
+        match &in_effect.fault {
+            WorldFault::Frames { bus, .. } => self.buses[bus.0].has_damaged(in_effect.number),
+            WorldFault::Line { line, .. } => self.lines[line.0].damaged() > 0,
+            _ => in_effect.known,
+        }
     }
 
     /// Ends a fault at `now`, after advancing the world to `now`. A single event has no end: a reset, a jump, a hang-up.
@@ -324,11 +333,12 @@ impl World {
             WorldFault::Frames { bus, .. } | WorldFault::Foreign { bus, .. } => {
                 self.buses[bus.0].end_frame_fault(in_effect.number, now);
             }
-            fault => self.switch_fault(fault, false, now),
+            fault => _ = self.switch_fault(fault, false, now),
         }
     }
 
-    fn switch_fault(&mut self, fault: &WorldFault, on: bool, now: Instant) {
+    /// Returns whether the place has such a fault.
+    fn switch_fault(&mut self, fault: &WorldFault, on: bool, now: Instant) -> bool {
         match fault {
             WorldFault::Host { bus, fault } => self.buses[bus.0].set_host_fault(*fault, on, now),
             WorldFault::Line { line, faults } => {
@@ -338,7 +348,7 @@ impl World {
             WorldFault::HangUp { line } if on => self.lines[line.0].hang_up(),
             WorldFault::Bytes { line, to_host, bytes } if on => self.lines[line.0].inject(bytes, *to_host, now),
             WorldFault::Device { drive, fault } => {
-                let _ = match drive {
+                return match drive {
                     DriveId::Node(id) => self.buses[id.bus.0].set_device_fault(id.number, *fault, on, now),
                     DriveId::Line(id) => self.lines[id.0].set_device_fault(*fault, on, now),
                 };
@@ -348,15 +358,14 @@ impl World {
                     DriveId::Node(id) => self.buses[id.bus.0].device_mut(id.number).and_then(Device::plant_mut),
                     DriveId::Line(id) => self.lines[id.0].device_mut().plant_mut(),
                 };
-                if let Some(plant) = plant {
-                    plant.set_fault(*fault, on);
-                }
+                return plant.map(|plant| plant.set_fault(*fault, on)).is_some();
             }
             WorldFault::Frames { .. }
             | WorldFault::Foreign { .. }
             | WorldFault::HangUp { .. }
             | WorldFault::Bytes { .. } => {}
         }
+        true
     }
 
     /// The motor of a drive with its true state, as of its last sub-step; `None` for a device without a motor.

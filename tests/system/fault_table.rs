@@ -1,11 +1,12 @@
 //! The fault table of the laboratory: robots on both wires, in some phases.
 
+use std::fs;
 use std::time::Duration;
 
 use ::mrroc::bench::BenchKind;
 use ::mrroc::cell::CellFile;
 use ::mrroc::fault_table::{Detector, FaultOptions, FaultPhase, FaultTable, fault_table};
-use ::mrroc::report::RunOutcome;
+use ::mrroc::report::{RunOutcome, RunReport};
 use ::mrroc::run::{Requests, RunOptions, run};
 use ::mrroc::tasks::CarriedTask;
 
@@ -182,6 +183,44 @@ fn the_example_scenario_is_tolerated() {
     assert_eq!(report.outcome, RunOutcome::Completed, "{:?}", report.faults);
     let missed: u64 = report.buses.iter().map(|bus| bus.missed_answers).sum();
     assert!(missed >= 2, "{missed} missed answers");
+}
+
+/// The report of the carried task on an example cell, in lockstep with this scenario.
+fn played(cell: &str, scenario: &str) -> RunReport {
+    let directory = Directory::new();
+    let scenario = Some(directory.write("scenario.toml", scenario));
+    let file = CellFile::read(example(cell)).unwrap();
+    let options = RunOptions { scenario, ..RunOptions::on(BenchKind::Lockstep) };
+    run(&file, &options, &Requests::default(), &CarriedTask::default().program(), &mut |_| {}).unwrap()
+}
+
+#[test]
+fn one_lost_telegram_of_a_serial_line_is_tolerated() {
+    let report = played("irb6-serial", "[[fault]]\nat = 6.0\nkind = \"lost\"\naxis = \"column\"\ncount = 1\n");
+    assert_eq!(report.outcome, RunOutcome::Completed, "{:?}", report.faults);
+    assert_eq!(report.buses[0].missed_answers, 1);
+    assert!(report.idle_faults.is_empty(), "{:?}", report.idle_faults);
+}
+
+#[test]
+fn a_fault_that_has_not_acted_is_a_warning_of_the_report() {
+    let report = played("irb6", "[[fault]]\nat = 5000.0\nkind = \"lost\"\naxis = \"column\"\n");
+    assert_eq!(report.outcome, RunOutcome::Completed, "{:?}", report.faults);
+    let line = "scenario: fault[0] (lost, at 5000 s) has not acted";
+    assert!(report.to_string().contains(&format!("warning: {line}\n")), "{report}");
+    assert_eq!(serde_json::to_value(&report).unwrap()["idle_faults"], serde_json::json!([line]));
+}
+
+#[test]
+fn the_scenario_of_the_page_plays_both_faults() {
+    let page = fs::read_to_string(root().join("book/src/fault-table.md")).unwrap();
+    let (_, scenario) = page.split_once("```text\n").unwrap();
+    let (scenario, _) = scenario.split_once("```").unwrap();
+    let report = played("irb6", scenario);
+    assert!(report.idle_faults.is_empty(), "{:?}", report.idle_faults);
+    let stopped = report.faults[0].time_s.unwrap();
+    assert!(report.faults[0].what.contains("over-current") && stopped > 10.0, "{:?}", report.faults);
+    assert_eq!(report.buses[0].missed_answers, 1);
 }
 
 #[test]

@@ -67,6 +67,8 @@ pub(super) struct FrameFaultInEffect {
     pub(super) probability: f64,
     /// Frames still to damage.
     pub(super) left: Option<u32>,
+    /// Whether the fault has damaged a frame.
+    pub(super) damaged: bool,
     pub(super) noise: Noise,
 }
 
@@ -93,6 +95,7 @@ impl FrameFaultInEffect {
         if let Some(left) = self.left.as_mut().filter(|_| strikes) {
             *left -= 1;
         }
+        self.damaged |= strikes;
         strikes
     }
 }
@@ -140,7 +143,7 @@ impl BusFaults {
         self.numbers += 1;
         let noise = Noise::new(seed);
         let number = self.numbers;
-        self.frames.push(FrameFaultInEffect { number, frames, fault, probability, left: count, noise });
+        self.frames.push(FrameFaultInEffect { number, frames, fault, probability, left: count, damaged: false, noise });
         number
     }
 
@@ -166,6 +169,11 @@ impl BusFaults {
         for held in self.held.iter_mut().filter(|held| held.fault == number) {
             held.due.get_or_insert(now);
         }
+    }
+
+    /// Whether fault `number` of frames has damaged a frame.
+    pub(super) fn has_damaged(&self, number: u64) -> bool {
+        self.frames.iter().any(|fault| fault.number == number && fault.damaged)
     }
 
     /// The fault that damages this frame, and its number.

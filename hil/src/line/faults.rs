@@ -15,6 +15,9 @@ pub struct LineFaults {
     pub to_host: WireFaults,
     /// Delay of all bytes from the device to the host, without a USB adapter.
     pub late: Duration,
+    /// Greatest number of damaged telegrams, of both directions together; `None` without a limit. A telegram is a sequence
+    /// of bytes without a gap.
+    pub count: Option<u32>,
 }
 
 /// Faults of one direction.
@@ -41,12 +44,23 @@ pub enum Stuck {
     Garbled,
 }
 
+/// Telegrams that the present faults of a line damage.
+#[derive(Debug, Default)]
+pub(super) struct Damage {
+    /// Telegrams still to damage.
+    pub(super) left: Option<u32>,
+    /// Telegrams that have been damaged.
+    pub(super) telegrams: u64,
+}
+
 #[derive(Debug, Default)]
 pub(super) struct Wire {
     faults: WireFaults,
     noise: Noise,
-    /// Whether the rest of the burst is lost.
-    pub(super) torn: bool,
+    /// Whether the rest of the telegram is lost.
+    torn: bool,
+    /// Whether the telegram counts as damaged. Its further bytes may be damaged too.
+    damaged: bool,
     pub(super) corrupted: u64,
     pub(super) lost: u64,
     pub(super) duplicated: u64,
@@ -56,14 +70,38 @@ impl Wire {
     pub(super) fn set(&mut self, faults: WireFaults, seed: u64) {
         self.faults = faults;
         self.noise = Noise::new(seed);
-        self.torn = false;
+        self.begin_telegram();
+    }
+
+    /// The next byte is the first of a telegram.
+    pub(super) fn begin_telegram(&mut self) {
+        (self.torn, self.damaged) = (false, false);
+    }
+
+    /// Whether a fault may damage the present telegram. Counts the telegram as damaged.
+    pub(super) fn damages(&mut self, damage: &mut Damage) -> bool {
+        if !self.damaged && damage.left != Some(0) {
+            self.damaged = true;
+            damage.left = damage.left.map(|left| left - 1);
+            damage.telegrams += 1;
+        }
+        self.damaged
     }
 
     /// The received bytes for a sent byte: zero, one or two.
-    pub(super) fn carry(&mut self, byte: u8) -> [Option<u8>; 2] {
-        if self.faults == WireFaults::default() {
+    pub(super) fn carry(&mut self, byte: u8, damage: &mut Damage) -> [Option<u8>; 2] {
+        let exhausted = damage.left == Some(0) && !self.damaged;
+        if exhausted || self.faults == WireFaults::default() {
             return [Some(byte), None];
         }
+        let arrives = self.distort(byte);
+        if arrives != [Some(byte), None] {
+            self.damages(damage);
+        }
+        arrives
+    }
+
+    fn distort(&mut self, byte: u8) -> [Option<u8>; 2] {
         self.torn |= self.happens(self.faults.tear);
         let arrives = match self.faults.stuck {
             Some(Stuck::Silent) => None,

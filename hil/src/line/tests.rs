@@ -237,3 +237,65 @@ fn a_line_that_hung_up_carries_nothing_either_way() {
     assert_eq!(rig.heard().len(), 1, "the byte that was on the wire");
     assert_eq!(rig.host.read(at(10_000), &mut [0; 8]), gone);
 }
+
+/// Telegrams of one byte that reach the host undamaged, of five that the device sends back; then the bytes that the
+/// device received.
+fn undamaged(faults: LineFaults) -> ([bool; 5], usize) {
+    let mut rig = rig(None, Duration::from_micros(300));
+    rig.line.set_faults(&LineFaults { seed: 1, ..faults });
+    let arrived = [0, 1, 2, 3, 4].map(|number| {
+        let sent = 10_000 * number;
+        rig.host.write(at(sent), b"x").unwrap();
+        rig.line.advance(at(sent + 5000));
+        let mut bytes = [0; 8];
+        let count = rig.host.read(at(sent + 5000), &mut bytes).unwrap();
+        rig.line.advance(at(sent + 9000));
+        let late = rig.host.read(at(sent + 9000), &mut [0; 8]).unwrap();
+        (&bytes[..count], late) == (b"x", 0)
+    });
+    (arrived, rig.heard().len())
+}
+
+#[test]
+fn a_fault_with_a_count_damages_no_further_telegram() {
+    let none = WireFaults::default();
+    let stuck = |stuck| WireFaults { stuck: Some(stuck), ..none };
+    let cases = [
+        WireFaults { bit_error_rate: 1.0, ..none },
+        WireFaults { tear: 1.0, ..none },
+        WireFaults { duplicate: 1.0, ..none },
+        stuck(Stuck::Silent),
+        stuck(Stuck::At(0)),
+        stuck(Stuck::Garbled),
+    ];
+    for to_host in cases {
+        let faults = LineFaults { to_host, count: Some(2), ..LineFaults::default() };
+        assert_eq!(undamaged(faults), ([false, false, true, true, true], 5), "{to_host:?}");
+        assert_eq!(undamaged(LineFaults { count: None, ..faults }).0, [false; 5], "{to_host:?}");
+        let again = LineFaults { count: Some(0), ..faults };
+        assert_eq!(undamaged(again).0, [true; 5], "{to_host:?}");
+    }
+    let late = LineFaults { late: Duration::from_millis(7), count: Some(1), ..LineFaults::default() };
+    assert_eq!(undamaged(late), ([false, true, true, true, true], 5));
+}
+
+#[test]
+fn both_directions_of_a_fault_share_its_count() {
+    let twice = WireFaults { duplicate: 1.0, ..WireFaults::default() };
+    let faults = LineFaults { to_device: twice, to_host: twice, count: Some(1), ..LineFaults::default() };
+    // The first request arrives twice, and both answers to it arrive once.
+    assert_eq!(undamaged(faults), ([false, true, true, true, true], 6));
+}
+
+#[test]
+fn a_fault_with_a_count_damages_a_telegram_as_a_whole() {
+    let mut rig = rig(None, Duration::from_secs(1));
+    let to_device = WireFaults { stuck: Some(Stuck::Silent), ..WireFaults::default() };
+    rig.line.set_faults(&LineFaults { to_device, count: Some(1), ..LineFaults::default() });
+    rig.host.write(at(0), b"lost").unwrap();
+    rig.line.advance(at(5000));
+    assert_eq!((rig.heard(), rig.line.damaged()), (&[][..], 1));
+    rig.host.write(at(5000), b"here").unwrap();
+    rig.line.advance(at(10_000));
+    assert_eq!((rig.heard().len(), rig.line.damaged()), (4, 1));
+}

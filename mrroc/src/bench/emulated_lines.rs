@@ -197,6 +197,9 @@ impl EmulatedLines {
                 scenario.advance(&mut self.world, passed);
             }
             self.world.advance(passed);
+            if let Some(scenario) = &self.scenario {
+                scenario.note(&self.world);
+            }
             observe(&self.world, passed);
             for line in &mut self.lines {
                 line.deliver(&mut self.world, passed)?;

@@ -25,7 +25,7 @@ use crate::bench::scene::SceneTruth;
 use crate::bench::traffic::BusLoad;
 use crate::bench::truth::TruthLog;
 use crate::cell::{Axis, CellFile, EmulatedGate, EmulatedTouchProbe, IoNode, Protocol};
-use crate::scenario::{Scenario, ScenarioRun};
+use crate::scenario::{Scenario, ScenarioProbe, ScenarioRun};
 
 /// Capacity of the host's end of a virtual bus in each direction, frames.
 const QUEUE: usize = 256;
@@ -215,6 +215,9 @@ impl Emulation {
             scenario.advance(&mut self.world, until);
         }
         self.world.advance_beside(until, work);
+        if let Some(scenario) = &self.scenario {
+            scenario.note(&self.world);
+        }
     }
 
     /// The buses and drives in the world.
@@ -222,10 +225,12 @@ impl Emulation {
         &self.ids
     }
 
-    /// Applies the faults of a scenario from now on.
-    pub fn play(&mut self, scenario: &Scenario, file: &CellFile) -> anyhow::Result<()> {
-        self.scenario = Some(ScenarioRun::new(scenario, file, &self.ids)?);
-        Ok(())
+    /// Applies the faults of a scenario from now on. The result tells which of them have acted.
+    pub fn play(&mut self, scenario: &Scenario, file: &CellFile) -> anyhow::Result<ScenarioProbe> {
+        let run = ScenarioRun::new(scenario, file, &self.ids)?;
+        let probe = run.watch();
+        self.scenario = Some(run);
+        Ok(probe)
     }
 
     /// Begins a fault at the present time of the world.

@@ -80,6 +80,8 @@ pub struct RunReport {
     pub warnings: Vec<WarningReport>,
     /// Reports of further errors, which are counted alone.
     pub more_warnings: u64,
+    /// Faults of the scenario that have not acted, each in one line.
+    pub idle_faults: Vec<String>,
     /// What the host denied of the real-time requests.
     pub denied: Vec<String>,
     /// Time of the cell over time of the host: above 1 is faster than real time.
@@ -162,6 +164,7 @@ impl RunReport {
             faults: take(&mut end.faults),
             recovered: take(&mut end.recovered),
             figures: BTreeMap::new(),
+            idle_faults: Vec::new(),
             denied: take(&mut end.denied),
             realtime_factor: end.cell_time.as_secs_f64() / wall.as_secs_f64(),
             outcome,

@@ -41,6 +41,7 @@ pub(crate) fn page(report: &RunReport, tracks: &Tracks, timing: &Timing) -> Resu
         let more = report.more_warnings;
         paragraph(&mut page, format_args!("{more} further reports of drives."));
     }
+    list(&mut page, "Faults of the scenario that have not acted", &report.idle_faults);
     list(&mut page, "Denied by the host", &report.denied);
     robots(&mut page, report);
     for track in &tracks.robots {

@@ -113,6 +113,9 @@ impl fmt::Display for RunReport {
         if self.more_warnings > 0 {
             writeln!(f, "warning: {} further reports of drives", self.more_warnings)?;
         }
+        for idle in &self.idle_faults {
+            writeln!(f, "warning: {idle}")?;
+        }
         for (name, value) in &self.figures {
             writeln!(f, "{name}: {value:.4}")?;
         }

@@ -67,7 +67,7 @@ use crate::guardian::{Guardian, GuardianFault, Pulse};
 use crate::outputs::Outputs;
 use crate::recording::{self, Facts, Flights, Recorder};
 use crate::report::{self, FaultReport, RunEnd, RunOutcome, RunReport, Tracks};
-use crate::scenario::Scenario;
+use crate::scenario::{Scenario, ScenarioProbe};
 use crate::tasks::Program;
 use crate::trace::{AxisLog, FrameLog, StepFile, log_names};
 use crate::wire::Wire;
@@ -162,9 +162,10 @@ pub fn run(
     let mut bench = Bench::open(file, options.bench, &options.places, options.trace.is_some() || is_recorded)?;
     let lines = if is_recorded { bench.trace_lines() } else { Vec::new() };
     let cameras = Cameras::open(file, options.bench, bench.emulation.as_mut())?;
-    if let (Some(scenario), Some(emulation)) = (&scenario, &mut bench.emulation) {
-        emulation.play(scenario, file)?;
-    }
+    let played = match (&scenario, &mut bench.emulation) {
+        (Some(scenario), Some(emulation)) => emulation.play(scenario, file)?,
+        _ => ScenarioProbe::default(),
+    };
     let mut devices = setup::devices(file, bench.ports, bench.lines, bench.sensors, None)?;
     let (mut servo, links) = Servo::new(&setup::servo_config(file), take(&mut devices.groups))?;
     let sensors = setup::force_sensors(file, &devices.sensors, &links);
@@ -274,6 +275,7 @@ pub fn run(
     let (bench, wall) = (options.bench.name(), clock::now().since(began));
     let mut report = RunReport::of(file, bench, &mut end, &budget, wall, outcome);
     report.figures = figures.all();
+    report.idle_faults = played.idle();
     if let Some(mut file) = page {
         let written = report::page(&report, &end.tracks, &end.timing)
             .context(REPORT)

@@ -199,6 +199,49 @@ impl FaultKind {
         serde_json::to_value(self).ok().and_then(|name| name.as_str().map(str::to_owned)).unwrap_or_default()
     }
 
+    /// Whether the kind uses this key of a scenario at one of its places. Every kind uses the keys that are not listed.
+    pub(super) fn uses(self, key: &str) -> bool {
+        let of_frames = matches!(self, Self::Lost | Self::Late | Self::Duplicated | Self::Corrupted | Self::Reordered);
+        let counts = of_frames || matches!(self, Self::HeartbeatSilent | Self::Torn);
+        let of_host = matches!(
+            self,
+            Self::BusOff
+                | Self::ErrorPassive
+                | Self::InterfaceDown
+                | Self::InterfaceRemoved
+                | Self::QueueFull
+                | Self::NoAcknowledge
+        );
+        let once = matches!(
+            self,
+            Self::InterfaceRemoved
+                | Self::HangUp
+                | Self::Garbage
+                | Self::NodeReset
+                | Self::EncoderJump
+                | Self::ForgedEmergency
+        );
+        match key {
+            "frame" => of_frames,
+            "count" | "probability" => counts,
+            "seed" => counts || matches!(self, Self::WrongBaud | Self::SecondMaster),
+            "duration" => !once,
+            "node" => !of_host && self != Self::SecondMaster,
+            "late_ms" => self == Self::Late,
+            "increments" => self == Self::EncoderJump,
+            "share" => self == Self::SaggingSupply,
+            "distance" | "stiffness" => self == Self::Collision,
+            "code" => self == Self::ForgedEmergency,
+            _ => true,
+        }
+    }
+
+    /// Whether the place must have a drive.
+    pub(super) fn is_of_drive(self) -> bool {
+        let of_device = matches!(self, Self::AnswersFrozen | Self::NodeReset | Self::PowerCycle | Self::Unplugged);
+        of_device || self.of_plant(&FaultNumbers::default()).is_some()
+    }
+
     /// The faults of the world, or what is wrong with the place.
     pub fn faults(self, place: &FaultPlace, numbers: &FaultNumbers) -> Result<Vec<WorldFault>, &'static str> {
         if let Some(fault) = self.of_plant(numbers) {
@@ -293,15 +336,15 @@ impl FaultKind {
     }
 
     fn on_line(self, line: hil::LineId, numbers: &FaultNumbers) -> Result<Vec<WorldFault>, &'static str> {
-        let &FaultNumbers { probability, seed, late, .. } = numbers;
-        let faults = |to_device, to_host| LineFaults { seed, to_device, to_host, late: Duration::ZERO };
+        let &FaultNumbers { probability, count, seed, late, .. } = numbers;
+        let faults = |to_device, to_host| LineFaults { seed, to_device, to_host, late: Duration::ZERO, count };
         let fault = |faults| Ok(vec![WorldFault::Line { line, faults }]);
         let none = WireFaults::default();
         let both = |wire| fault(faults(wire, wire));
         match self {
             Self::Lost if probability >= 1.0 => fault(faults(none, WireFaults { stuck: Some(Stuck::Silent), ..none })),
             Self::Lost | Self::Torn => both(WireFaults { tear: 0.1 * probability, ..none }),
-            Self::Late => fault(LineFaults { late, ..LineFaults::default() }),
+            Self::Late => fault(LineFaults { late, count, ..LineFaults::default() }),
             Self::Duplicated => both(WireFaults { duplicate: 0.01 * probability, ..none }),
             Self::Corrupted => both(WireFaults { bit_error_rate: 0.01 * probability, ..none }),
             Self::Garbage => {

@@ -4,6 +4,7 @@
 //! emulators apply the faults on their side of the wire. The same scenario gives the same faults in each run in
 //! lockstep. Places are those of a cell file; [`Scenario::resolve`] refuses unknown names with file, line and key.
 
+mod check;
 mod kind;
 mod run;
 #[cfg(test)]
@@ -22,7 +23,7 @@ use crate::bench::drive_ids::DriveIds;
 use crate::cell::{self, CellError, CellFile, LARGEST};
 use crate::input;
 pub use kind::{FaultKind, FaultNumbers, FaultPlace};
-pub use run::ScenarioRun;
+pub use run::{ScenarioProbe, ScenarioRun};
 
 /// A scenario file.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
@@ -36,14 +37,15 @@ pub struct ScenarioText {
     pub fault: Vec<FaultText>,
 }
 
-/// One fault. Exactly one of `at`, `when` and `cycle` gives its time. A place is an axis, or a bus, with `node` or
-/// `frame` for a part of its frames.
+/// One fault. Its beginning is `at`, `cycle` or `when`, or `when` from `at` on. A place is an axis, or a bus, with `node`
+/// or `frame` for a part of its frames.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct FaultText {
     /// Time of the beginning, s since the emulated devices were switched on.
     pub at: Option<f64>,
-    /// Event of the beginning: motion of the robot of `axis`, or of all robots with a drive on `bus`.
+    /// Event of the beginning: motion of the robot of `axis`, or of all robots with a drive on `bus`. With `at`, the fault
+    /// begins the first time that the event is the case at this time or later.
     pub when: Option<MotionEvent>,
     /// Time of the beginning in servo periods since the emulated devices were switched on.
     pub cycle: Option<u32>,
@@ -59,23 +61,30 @@ pub struct FaultText {
     pub axis: Option<String>,
     /// Duration, s; without end where absent.
     pub duration: Option<f64>,
-    /// Greatest number of damaged frames.
+    /// Greatest number of damaged frames or telegrams; without limit where absent.
     pub count: Option<u32>,
     /// Probability that the fault damages a frame or telegram; 1 where absent.
+    #[schemars(extend("default" = FaultNumbers::default().probability))]
     pub probability: Option<f64>,
     /// Seed of the fault; the seed of the file plus the number of the fault where absent.
     pub seed: Option<u64>,
-    /// Delay of `late`, ms.
+    /// Delay of `late`, ms; 5 where absent.
+    #[schemars(extend("default" = FaultNumbers::default().late.as_secs_f64() * 1e3))]
     pub late_ms: Option<f64>,
-    /// Increments of `encoder-jump`.
+    /// Increments of `encoder-jump`; 20000 where absent.
+    #[schemars(extend("default" = FaultNumbers::default().increments))]
     pub increments: Option<i32>,
-    /// Share of the supply voltage of `sagging-supply`, 0 to 1.
+    /// Share of the supply voltage of `sagging-supply`, 0 to less than 1; 0.05 where absent.
+    #[schemars(extend("default" = FaultNumbers::default().share))]
     pub share: Option<f64>,
-    /// Distance of `collision`, rad of the motor.
+    /// Distance of `collision`, rad of the motor; 1 where absent.
+    #[schemars(extend("default" = FaultNumbers::default().distance))]
     pub distance: Option<f64>,
-    /// Stiffness of `collision`, N·m/rad at the motor.
+    /// Stiffness of `collision`, N·m/rad at the motor; 20 where absent.
+    #[schemars(extend("default" = FaultNumbers::default().stiffness))]
     pub stiffness: Option<f64>,
-    /// Error code of `forged-emergency`.
+    /// Error code of `forged-emergency`; 0x3210 where absent.
+    #[schemars(extend("default" = FaultNumbers::default().code))]
     pub code: Option<u16>,
 }
 
@@ -102,20 +111,30 @@ pub enum FaultTime {
     At(Duration),
     /// Servo periods since power-on.
     Cycle(u32),
-    /// An event.
-    When(MotionEvent),
+    /// An event at or after a time since power-on.
+    When(MotionEvent, Duration),
 }
 
 /// A scenario file that was read.
 #[derive(Clone, Debug)]
 pub struct Scenario {
-    path: PathBuf,
+    origin: Origin,
     text: String,
     scenario: ScenarioText,
 }
 
+/// Origin of a scenario, for messages.
+#[derive(Clone, Debug)]
+enum Origin {
+    File(PathBuf),
+    /// A line that was typed.
+    Line(String),
+}
+
 /// A fault with its place in a world.
 pub struct PlacedFault {
+    /// Number, kind and beginning, for reports.
+    pub label: String,
     /// Time of the beginning.
     pub time: FaultTime,
     /// Duration; `None` without end.
@@ -144,8 +163,16 @@ impl Scenario {
 
     /// The scenario of a text. `path` is for messages.
     pub fn parse(path: &Path, text: &str) -> anyhow::Result<Self> {
-        let scenario = cell::from_text(text).map_err(|error| anyhow!("{}:{error}", path.display()))?;
-        let scenario = Self { path: path.to_owned(), text: text.to_owned(), scenario };
+        Self::of(Origin::File(path.to_owned()), text)
+    }
+
+    fn of(origin: Origin, text: &str) -> anyhow::Result<Self> {
+        let scenario: ScenarioText = cell::from_text(text).map_err(|error| origin.refuse(&error))?;
+        if scenario.fault.is_empty() {
+            let problem = "is missing: a scenario has at least one fault";
+            return Err(origin.refuse(&CellError::at(text, &cell::Path::to("fault"), problem)));
+        }
+        let scenario = Self { origin, text: text.to_owned(), scenario };
         for (number, fault) in scenario.scenario.fault.iter().enumerate() {
             fault.check().map_err(|problem| scenario.refuse(number, problem))?;
         }
@@ -161,13 +188,18 @@ impl Scenario {
     pub fn of_line(line: &str) -> anyhow::Result<Self> {
         let mut words = line.split_whitespace();
         let kind = words.next().context("the kind of the fault is missing")?;
+        let origin = Origin::Line(line.trim().to_owned());
+        let refuse = |key: &str, problem: String| origin.refuse(&CellError { line: 0, key: key.to_owned(), problem });
         let mut text = format!("[[fault]]\nat = 0.0\nkind = {kind:?}\n");
         for word in words {
-            let (key, value) = word.split_once('=').with_context(|| format!("{word:?} is not KEY=VALUE"))?;
+            let (key, value) = word.split_once('=').ok_or_else(|| refuse("", format!("{word:?} is not KEY=VALUE")))?;
+            if matches!(key, "at" | "cycle" | "when") {
+                return Err(refuse(key, "a live fault begins at once and takes no at, cycle or when".to_owned()));
+            }
             let number = value.parse::<f64>().is_ok() || value.starts_with("0x");
             text += &if number { format!("{key} = {value}\n") } else { format!("{key} = {value:?}\n") };
         }
-        Self::parse(Path::new("fault"), &text)
+        Self::of(origin, &text)
     }
 
     /// The faults in the world of a cell.
@@ -175,60 +207,35 @@ impl Scenario {
         let faults = self.scenario.fault.iter().enumerate();
         let placed = faults.map(|(number, fault)| {
             let seed = fault.seed.unwrap_or(self.scenario.seed.wrapping_add(number as u64));
-            fault.place(file, ids, seed).map_err(|problem| self.refuse(number, problem))
+            let label = format!("fault[{number}] ({}, {})", fault.kind.name(), fault.beginning());
+            fault.place(file, ids, (seed, label)).map_err(|problem| self.refuse(number, problem))
         });
         placed.collect()
     }
 
     fn refuse(&self, number: usize, (key, problem): Problem) -> anyhow::Error {
         let key = cell::Path::to("fault").then(number).then(key);
-        anyhow!("{}:{}", self.path.display(), CellError::at(&self.text, &key, problem))
+        self.origin.refuse(&CellError::at(&self.text, &key, problem))
+    }
+}
+
+impl Origin {
+    /// The message of an error: with file, line and key, or with the typed line and its key.
+    fn refuse(&self, error: &CellError) -> anyhow::Error {
+        match self {
+            Self::File(path) => anyhow!("{}:{error}", path.display()),
+            Self::Line(typed) => {
+                let key = error.key.strip_prefix("fault[0].").unwrap_or(&error.key);
+                let separator = if key.is_empty() { "" } else { ": " };
+                anyhow!("{typed:?}: {key}{separator}{}", error.problem)
+            }
+        }
     }
 }
 
 impl FaultText {
-    /// Checks all that needs no cell.
-    fn check(&self) -> Result<(), Problem> {
-        let times =
-            usize::from(self.at.is_some()) + usize::from(self.when.is_some()) + usize::from(self.cycle.is_some());
-        if times != 1 {
-            return Err(("at", format!("one of at, when and cycle is needed, and {times} are given")));
-        }
-        let positive = |value: f64| value.is_finite() && (0.0..=1e6).contains(&value);
-        let share = |value: f64| (0.0..=1.0).contains(&value);
-        let checks = [
-            ("at", self.at, positive as fn(f64) -> bool, "must be 0 to 1000000 s"),
-            ("duration", self.duration, positive, "must be 0 to 1000000 s"),
-            ("probability", self.probability, share, "must be 0 to 1"),
-            ("late_ms", self.late_ms, positive, "must be 0 to 1000000 ms"),
-            ("share", self.share, share, "must be 0 to 1"),
-            ("distance", self.distance, positive, "must be 0 to 1000000 rad"),
-            ("stiffness", self.stiffness, positive, "must be 0 to 1000000 N·m/rad"),
-        ];
-        for (key, value, sound, problem) in checks {
-            if value.is_some_and(|value| !sound(value)) {
-                return Err((key, problem.to_owned()));
-            }
-        }
-        if self.axis.is_some() && (self.bus.is_some() || self.node.is_some()) {
-            return Err(("axis", "stands for its bus and node, which are not given beside it".to_owned()));
-        }
-        if self.axis.is_none() && self.bus.is_none() {
-            return Err(("kind", "has no place: name an axis or a bus".to_owned()));
-        }
-        if self.node.is_some() && self.frame.is_some() {
-            return Err(("frame", "selects the frames, and node does too: give one of them".to_owned()));
-        }
-        if self.frame.is_some_and(|id| StandardId::new(id).is_none()) {
-            return Err(("frame", "is a COB-ID of 11 bits, 0 to 0x7FF".to_owned()));
-        }
-        if self.node.is_some_and(|node| !(1..=127).contains(&node)) {
-            return Err(("node", "is a node-ID, 1 to 127".to_owned()));
-        }
-        Ok(())
-    }
-
-    fn place(&self, file: &CellFile, ids: &DriveIds, seed: u64) -> Result<PlacedFault, Problem> {
+    /// The fault in the world of a cell, with its seed and label.
+    fn place(&self, file: &CellFile, ids: &DriveIds, (seed, label): (u64, String)) -> Result<PlacedFault, Problem> {
         let seconds = |seconds: f64| Duration::from_secs_f64(seconds);
         let usual = FaultNumbers::default();
         let numbers = FaultNumbers {
@@ -243,15 +250,16 @@ impl FaultText {
             code: self.code.unwrap_or(usual.code),
         };
         let (place, robots) = self.find(file, ids)?;
+        self.check_at(&place)?;
         let faults = self.kind.faults(&place, &numbers).map_err(|problem| ("kind", problem.to_owned()))?;
         let watched = ids.drives.iter().filter(|((robot, _), _)| robots.contains(robot));
         let watched = watched.map(|(&(robot, axis), &drive)| (drive, file.cell.robot[robot].axis[axis].max_velocity));
-        let time = match (self.at, self.when, self.cycle) {
-            (Some(at), ..) => FaultTime::At(seconds(at)),
-            (None, Some(event), _) => FaultTime::When(event),
-            (None, None, cycle) => FaultTime::Cycle(cycle.unwrap_or(0)),
+        let time = match (self.when, self.cycle) {
+            (Some(event), _) => FaultTime::When(event, seconds(self.at.unwrap_or(0.0))),
+            (None, Some(cycle)) => FaultTime::Cycle(cycle),
+            (None, None) => FaultTime::At(seconds(self.at.unwrap_or(0.0))),
         };
-        Ok(PlacedFault { time, duration: self.duration.map(seconds), faults, watched: watched.collect() })
+        Ok(PlacedFault { label, time, duration: self.duration.map(seconds), faults, watched: watched.collect() })
     }
 
     /// The place, and the robots whose motion an event concerns.
@@ -277,6 +285,11 @@ impl FaultText {
         let axes: Vec<_> = cell.axes_on(index).collect();
         let of_node = |node| axes.iter().find(|&&(robot, axis)| cell.robot[robot].axis[axis].node == node);
         let drive = self.node.and_then(of_node).and_then(|axis| ids.drives.get(axis)).copied();
+        if let Some(node) = self.node.filter(|_| drive.is_none() && self.kind.is_of_drive()) {
+            let drives = axes.iter().filter(|axis| ids.drives.contains_key(axis));
+            let nodes: Vec<_> = drives.map(|&(robot, axis)| cell.robot[robot].axis[axis].node.to_string()).collect();
+            return Err(("node", format!("no drive on bus {name} has node {node}; there are {}", nodes.join(", "))));
+        }
         let frames = frame.or(self.node.map(Frames::FromNode)).unwrap_or(Frames::All);
         let place = FaultPlace::Bus { bus: ids.buses[index], frames, node: self.node, drive, period: cell.period() };
         let mut robots: Vec<_> = axes.iter().map(|(robot, _)| *robot).collect();

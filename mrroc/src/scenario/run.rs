@@ -1,5 +1,7 @@
 //! A scenario in progress: begins and ends its faults in the emulated world.
 
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use can::Instant;
@@ -18,7 +20,22 @@ pub struct ScenarioRun {
     look_at: Instant,
 }
 
+/// The faults of a scenario that have acted, for the report of a run. Clones read the same state.
+#[derive(Clone, Debug, Default)]
+pub struct ScenarioProbe(Vec<(String, Arc<AtomicBool>)>);
+
+impl ScenarioProbe {
+    /// The faults that have not acted: each has not begun, or has damaged no frame and no telegram.
+    pub fn idle(&self) -> Vec<String> {
+        let idle = self.0.iter().filter(|(_, acted)| !acted.load(Ordering::Relaxed));
+        idle.map(|(label, _)| format!("scenario: {label} has not acted")).collect()
+    }
+}
+
 struct Planned {
+    /// Number, kind and beginning, for reports.
+    label: String,
+    acted: Arc<AtomicBool>,
     time: FaultTime,
     duration: Option<Duration>,
     faults: Vec<WorldFault>,
@@ -64,6 +81,8 @@ impl ScenarioRun {
         let faults = scenario.resolve(file, ids)?;
         let still_since = self.passed;
         self.faults.extend(faults.into_iter().map(|fault| Planned {
+            label: fault.label,
+            acted: Arc::default(),
             time: fault.time,
             duration: fault.duration,
             faults: fault.faults,
@@ -92,15 +111,25 @@ impl ScenarioRun {
         self.passed = self.passed.max(until);
     }
 
+    /// Notes the faults that have acted in the world, after the world was advanced.
+    pub fn note(&self, world: &World) {
+        self.faults.iter().for_each(|fault| fault.note(world));
+    }
+
+    /// The present faults, and whether each has acted.
+    pub fn watch(&self) -> ScenarioProbe {
+        ScenarioProbe(self.faults.iter().map(|fault| (fault.label.clone(), fault.acted.clone())).collect())
+    }
+
     fn next(&self) -> Option<Instant> {
-        let waits = |fault: &Planned| matches!((&fault.state, fault.time), (State::Waiting, FaultTime::When(_)));
+        let waits = |fault: &Planned| matches!((&fault.state, fault.time), (State::Waiting, FaultTime::When(..)));
         let look = self.faults.iter().any(waits).then_some(self.look_at);
         self.faults.iter().filter_map(|fault| fault.due(self.period)).chain(look).min()
     }
 
     fn look(&mut self, world: &World, now: Instant) {
         for fault in &mut self.faults {
-            let FaultTime::When(event) = fault.time else {
+            let FaultTime::When(event, after) = fault.time else {
                 continue;
             };
             if !matches!(fault.state, State::Waiting) {
@@ -121,7 +150,7 @@ impl ScenarioRun {
                 MotionEvent::Cruising => speed > 10.0 * REST && change.abs() <= CHANGE,
                 MotionEvent::Braking => speed > 10.0 * REST && change < -CHANGE,
             };
-            if happens {
+            if happens && now >= Instant::ZERO + after {
                 fault.time = FaultTime::At(now.since(Instant::ZERO));
             }
         }
@@ -135,13 +164,26 @@ impl Planned {
             (State::Waiting, FaultTime::At(at)) => Some(Instant::ZERO + at),
             (State::Waiting, FaultTime::Cycle(cycle)) => Some(Instant::ZERO + period * cycle),
             (State::InEffect(_, end), _) => *end,
-            (State::Waiting, FaultTime::When(_)) | (State::Over, _) => None,
+            (State::Waiting, FaultTime::When(..)) | (State::Over, _) => None,
+        }
+    }
+
+    fn note(&self, world: &World) {
+        let State::InEffect(faults, _) = &self.state else {
+            return;
+        };
+        if !self.acted.load(Ordering::Relaxed) && faults.iter().any(|fault| world.has_acted(fault)) {
+            self.acted.store(true, Ordering::Relaxed);
         }
     }
 
     fn act(&mut self, world: &mut World, now: Instant, period: Duration) {
         if self.due(period).is_none_or(|due| due > now) {
             return;
+        }
+        if matches!(self.state, State::InEffect(..)) {
+            world.advance(now);
+            self.note(world);
         }
         self.state = match std::mem::replace(&mut self.state, State::Over) {
             State::Waiting => {
