@@ -65,7 +65,9 @@ enum Command {
     /// off.
     Stop(service::stop::Options),
     /// Replay a recording of `run --record FILE.mcap` through the drivers and the servo of this version, and compare all
-    /// outputs bit for bit. Opens no device.
+    /// outputs bit for bit. Opens no device. A recording that was cut replays up to its last whole chunk, and a damaged
+    /// recording up to its first damaged chunk. Exit status 0 if all replayed outputs are equal, 1 if an output differs,
+    /// 2 if the recording is damaged or cannot be replayed.
     Replay {
         /// The recording.
         file: PathBuf,
@@ -212,7 +214,7 @@ fn check(cell: &Path, task: CarriedTask, json: bool) -> anyhow::Result<ExitCode>
     streams::answer(&checked, json)
 }
 
-/// Replays a recording. Exit status 1 if an output differs.
+/// Replays a recording. Exit status 1 if an output differs, and 2 if the recording is damaged.
 fn replay(file: &Path, cell: Option<PathBuf>, diff: bool, json: bool) -> anyhow::Result<ExitCode> {
     let replayed = recording::replay(file, &ReplayOptions { cell })?;
     streams::answer(&replayed, json)?;
@@ -221,7 +223,11 @@ fn replay(file: &Path, cell: Option<PathBuf>, diff: bool, json: bool) -> anyhow:
             streams::say(difference)?;
         }
     }
-    Ok(ExitCode::from(u8::from(!replayed.is_equal())))
+    Ok(ExitCode::from(match (replayed.is_equal(), &replayed.damaged) {
+        (false, _) => 1,
+        (true, Some(_)) => 2,
+        (true, None) => 0,
+    }))
 }
 
 /// Measures the jitter behind a progress bar, and prints the report.

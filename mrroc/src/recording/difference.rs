@@ -7,7 +7,7 @@ use can::Instant;
 use prost::Message;
 use serde::Serialize;
 
-use super::file::Stored;
+use super::content::Stored;
 use super::messages::{BusEvent, LineData, RobotCycle, RobotFault};
 
 /// Most differences of the first differing cycle that are listed.

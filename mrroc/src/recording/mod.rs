@@ -10,7 +10,11 @@
 //!
 //! Read `Recorder` for what is written, [`replay`](self::replay()) for how a recording runs again.
 
+mod content;
+#[cfg(test)]
+pub(crate) mod damage_tests;
 mod difference;
+mod entries;
 mod file;
 mod flight;
 mod messages;
@@ -40,6 +44,7 @@ use file::McapFile;
 use messages::{BusEvent, Call, LineData, Lost, RobotCycle, RobotFault, RobotOrder, Timing, Word};
 use window::Window;
 
+pub use content::Damage;
 pub use difference::Difference;
 pub(crate) use file::Facts;
 pub use flight::Flights;

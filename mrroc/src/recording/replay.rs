@@ -18,9 +18,10 @@ use serde::Serialize;
 use serial::{Line, LineEntry, LineEvent, LineTraceReader, LineTracer, ReplayLine};
 use servo::{EffectorLink, JournalEvent, JournalReader, Order, Record, Servo, SpeedOverride};
 
+use super::content::{Content, Damage};
 use super::difference::{Comparison, Difference, Kind};
-use super::file::Content;
-use super::messages::{BusEvent, Call, LineData, Lost, RobotCycle, RobotFault, RobotOrder, Word as WordMessage};
+use super::entries::{Entry, entries};
+use super::messages::{BusEvent, Call, LineData, RobotCycle, RobotFault, RobotOrder, Word as WordMessage};
 use super::sources::{Layout, words};
 use crate::cell::CellFile;
 use crate::{input, run, setup};
@@ -41,6 +42,8 @@ pub struct ReplayOptions {
 /// Result of a replay.
 #[derive(Clone, Debug, Serialize)]
 pub struct Replay {
+    /// The recording.
+    pub file: PathBuf,
     /// Version that made the recording.
     pub recorded_by: String,
     /// Name of the cell.
@@ -53,8 +56,12 @@ pub struct Replay {
     pub end_s: f64,
     /// Outputs that are equal bit for bit: cycles of robots, faults, frames and parts of telegrams.
     pub equal: u64,
-    /// Why the recording ends early, if it does.
+    /// How the file ends, if it ends before its end. All whole chunks were replayed.
     pub cut: Option<String>,
+    /// First damage of the file. Only the cycles before it were replayed.
+    pub damaged: Option<Damage>,
+    /// Number of the last replayed cycle, from 0; absent if only the bring-up was replayed.
+    pub last_cycle: Option<u64>,
     /// Number and time of the first cycle with a difference; absent in a bring-up.
     pub differs_in: Option<Place>,
     /// The differences of this cycle; empty if all outputs are equal.
@@ -81,8 +88,13 @@ impl Display for Replay {
     fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
         let Self { recorded_by, cell, bench, cycles, equal, .. } = self;
         writeln!(f, "recording of cell {cell} on bench {bench} by mrroc {recorded_by}")?;
+        let cycle = self.last_cycle.map_or_else(|| "no cycle".to_owned(), |cycle| format!("cycle {cycle}"));
+        let reach = format!("replayed up to {cycle}, at {:.3} s", self.end_s);
         if let Some(cut) = &self.cut {
-            writeln!(f, "the recording was cut: {cut}")?;
+            writeln!(f, "the recording was cut: {cut}: {reach}")?;
+        }
+        if let Some(Damage { byte, what }) = &self.damaged {
+            writeln!(f, "{}: damaged at byte {byte} ({what}): {reach}", self.file.display())?;
         }
         match (self.differs_in, self.differences.first()) {
             (Some(Place { cycle: Some(cycle), time_s }), Some(first)) => {
@@ -100,7 +112,16 @@ impl Display for Replay {
 pub fn replay(path: &Path, options: &ReplayOptions) -> anyhow::Result<Replay> {
     let name = || path.display().to_string();
     let bytes = input::read(path, LARGEST).with_context(name)?;
-    let content = Content::read(&bytes).with_context(name)?;
+    let content = match Content::read(&bytes) {
+        Ok(content) => content,
+        Err(error) => {
+            let advised = match beside(path) {
+                Some(advice) => anyhow!("{error:#}: {advice}"),
+                None => error,
+            };
+            return Err(advised.context(name()));
+        }
+    };
     drop(bytes);
     if content.facts.texts.get("whole").is_some_and(|whole| whole != "true") {
         bail!(
@@ -110,11 +131,28 @@ pub fn replay(path: &Path, options: &ReplayOptions) -> anyhow::Result<Replay> {
         );
     }
     let directory = tempfile::tempdir().context("no directory for the recorded cell file")?;
-    let file = match &options.cell {
-        Some(cell) => CellFile::read(cell)?,
-        None => recorded_cell(&content, directory.path()).with_context(name)?,
+    let file = match (&options.cell, missing(&content)) {
+        (Some(cell), _) => CellFile::read(cell)?,
+        (None, None) => recorded_cell(&content, directory.path()).with_context(name)?,
+        // What is read of a damaged file before its damage may be incomplete.
+        (None, Some(missing)) => recorded_cell(&content, directory.path()).context(missing).with_context(name)?,
     };
-    Replaying::new(content, &file).with_context(name)?.go()
+    let result = Replaying::new(path, content, &file).and_then(Replaying::go);
+    result.with_context(name)
+}
+
+/// Why a file may lack parts that a replay needs; `None` for a complete file.
+fn missing(content: &Content) -> Option<String> {
+    let damage = content.damage.as_ref().map(|Damage { byte, what }| format!("damaged at byte {byte} ({what})"));
+    damage.or(content.cut.as_ref().map(|cut| format!("the recording was cut: {cut}")))
+}
+
+/// The recording beside the candump log `path`, in words.
+fn beside(path: &Path) -> Option<String> {
+    let recording = path.with_extension("mcap");
+    let is_log = path.extension().is_some_and(|extension| extension == "log");
+    (is_log && recording.is_file())
+        .then(|| format!("a candump log has only the frames of a recording: replay {}", recording.display()))
 }
 
 /// The recorded cell file with its device configuration files, in `directory`.
@@ -130,7 +168,7 @@ fn recorded_cell(content: &Content, directory: &Path) -> anyhow::Result<CellFile
         fs::write(&path, bytes)?;
         cell.get_or_insert(path);
     }
-    CellFile::read(cell.context("the recording has no cell file")?)
+    CellFile::read(cell.context("no cell file can be read from the recording")?)
 }
 
 /// A call of the servo with what came before it.
@@ -160,14 +198,18 @@ struct Replaying {
 }
 
 impl Replaying {
-    fn new(content: Content, file: &CellFile) -> anyhow::Result<Self> {
+    fn new(path: &Path, mut content: Content, file: &CellFile) -> anyhow::Result<Self> {
         let layout = Layout::of(file);
         let topics = layout.channels().iter().map(|channel| channel.topic.as_str());
         if !topics.eq(content.channels.values().map(|(topic, _)| topic.as_str())) {
+            if let Some(missing) = missing(&content) {
+                bail!("{missing}: the channels before are not those of the cell, and no cycle can be replayed");
+            }
             bail!("the cell has other robots, axes, buses or lines than the recording");
         }
         let cell = &file.cell;
-        let mut comparison = Comparison::new(content.cut.is_some());
+        let messages = entries(&layout, &mut content);
+        let mut comparison = Comparison::new(!content.complete);
         let mut add = |channel: u16, kind| {
             comparison.add_channel(channel, kind, &layout.channels()[usize::from(channel)].topic);
         };
@@ -178,6 +220,7 @@ impl Replaying {
 
         let text = |key: &str| content.facts.texts.get(key).cloned().unwrap_or_default();
         let result = Replay {
+            file: path.to_owned(),
             recorded_by: text("version"),
             cell: cell.name.clone(),
             bench: text("bench"),
@@ -185,42 +228,45 @@ impl Replaying {
             end_s: 0.0,
             equal: 0,
             cut: content.cut.clone(),
+            damaged: content.damage.clone(),
+            last_cycle: None,
             differs_in: None,
             differences: Vec::new(),
         };
         let mut steps = Vec::<Step>::new();
         let mut buses: Vec<Vec<TraceEntry>> = vec![Vec::new(); cell.bus.len()];
         let mut lines: Vec<Vec<LineEntry>> = vec![Vec::new(); layout.lines()];
-        let damaged = || anyhow!("a message is damaged");
-        for message in content.messages {
-            let (channel, now, body) = (message.channel, message.time, message.body.as_slice());
-            if channel == layout.calls() {
-                steps.push(Step { now, call: Call::decode(body)?, orders: Vec::new(), words: Vec::new() });
-            } else if channel == layout.orders() {
-                steps.last_mut().ok_or_else(damaged)?.orders.push(RobotOrder::decode(body)?);
-            } else if channel == layout.words() {
-                steps.last_mut().ok_or_else(damaged)?.words.push(WordMessage::decode(body)?);
-            } else if channel == layout.lost() {
-                bail!(
-                    "{} entries of the recording found no room, so it cannot be replayed",
-                    Lost::decode(body)?.entries
-                );
-            } else if channel >= layout.line(0) {
-                let entry = LineData::decode(body)?.entry(now).ok_or_else(damaged)?;
-                // A message may name a channel that the file does not declare.
-                lines.get_mut(usize::from(channel - layout.line(0))).ok_or_else(damaged)?.push(entry);
-                if is_sent_bytes(&entry) {
-                    comparison.expect(message);
+        for (message, entry) in messages {
+            match entry {
+                Entry::Call(call) => {
+                    steps.push(Step { now: message.time, call, orders: Vec::new(), words: Vec::new() });
                 }
-            } else if channel >= layout.bus(0) {
-                let entry = BusEvent::decode(body)?.entry(now).ok_or_else(damaged)?;
-                buses[usize::from(channel - layout.bus(0))].push(entry);
-                if is_sent_frame(&entry) {
-                    comparison.expect(message);
+                Entry::Order(order) => steps.last_mut().context("an order precedes the first call")?.orders.push(order),
+                Entry::Word(word) => steps.last_mut().context("a word precedes the first call")?.words.push(word),
+                Entry::Lost(lost) => {
+                    bail!("{} entries of the recording found no room, so it cannot be replayed", lost.entries)
                 }
-            } else {
-                comparison.expect(message);
+                Entry::Line(line, entry) => {
+                    lines[line].push(entry);
+                    if is_sent_bytes(&entry) {
+                        comparison.expect(message);
+                    }
+                }
+                Entry::Bus(bus, entry) => {
+                    buses[bus].push(entry);
+                    if is_sent_frame(&entry) {
+                        comparison.expect(message);
+                    }
+                }
+                Entry::Other => comparison.expect(message),
             }
+        }
+        if !content.complete {
+            // The last call may have been under way.
+            steps.pop();
+        }
+        if let (true, Some(missing)) = (steps.is_empty(), missing(&content)) {
+            bail!("{missing}: no cycle before can be replayed");
         }
         let (ports, buses) = buses.into_iter().map(traced_port).unzip();
         let mut traced = lines.into_iter().map(traced_line);
@@ -288,6 +334,7 @@ impl Replaying {
             self.compare();
         }
         (self.result.equal, self.result.end_s) = (self.comparison.equal, place.time_s);
+        self.result.last_cycle = place.cycle;
         self.result.differences = self.comparison.found;
         self.result.differs_in = (!self.result.differences.is_empty()).then_some(place);
         Ok(self.result)
@@ -406,7 +453,7 @@ fn traced_line(entries: Vec<LineEntry>) -> (Box<dyn Line>, LineTraceReader) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::recording::file::Stored;
+    use crate::recording::content::Stored;
 
     #[test]
     fn a_message_of_an_undeclared_channel_is_refused() {
@@ -416,9 +463,12 @@ mod tests {
         let channels = (0..).zip(layout.channels()).map(|(id, it)| (id, (it.topic.clone(), it.message.to_owned())));
         let data = LineData { kind: "bytes".to_owned(), ..LineData::default() };
         let channel = layout.channels().len() as u16;
-        let message = Stored { channel, time: Instant::ZERO, body: data.encode_to_vec() };
-        let content = Content { channels: channels.collect(), messages: vec![message], ..Content::default() };
-        let error = Replaying::new(content, &file).err().map(|error| error.to_string());
-        assert_eq!(error.as_deref(), Some("a message is damaged"));
+        let message = Stored { channel, time: Instant::ZERO, body: data.encode_to_vec(), chunk: 100 };
+        let content =
+            Content { channels: channels.collect(), messages: vec![message], complete: true, ..Content::default() };
+        let error = Replaying::new(Path::new("it"), content, &file).err().map(|error| error.to_string());
+        let said = "damaged at byte 100 (a message of an unknown channel: the channel is not declared): no cycle before \
+                    can be replayed";
+        assert_eq!(error.as_deref(), Some(said));
     }
 }
