@@ -1,7 +1,7 @@
 //! The `mrroc` command: the only part of the project that opens ports, spawns threads and prints.
 //!
-//! Exit status: 0 done; 1 stopped by a fault or on request, or a node did not obey a command; 2 refused before any
-//! motion, or no answer.
+//! Exit status: 0 done; 1 stopped by a fault or on request, a file of a run is incomplete, or a node did not obey a
+//! command; 2 refused before any motion, or no answer.
 
 #![deny(clippy::print_stdout, clippy::print_stderr)]
 
@@ -25,8 +25,8 @@ use mrroc::{streams, tasks::CarriedTask};
 use serde::Serialize;
 
 /// Exit status in the help text: scripts may rely on it.
-const EXIT_STATUS: &str = "Exit status: 0 done; 1 stopped by a fault or by a signal such as Ctrl-C, or a node was told and did not do \
-it; 2 refused before anything moved, aborted by the node, no answer, or no bus.";
+const EXIT_STATUS: &str = "Exit status: 0 done; 1 stopped by a fault or by a signal such as Ctrl-C, a file of a run is incomplete, or a node \
+was told and did not do it; 2 refused before anything moved, aborted by the node, no answer, or no bus.";
 
 /// A multi-robot research-oriented controller with its hardware in the loop.
 #[derive(Parser)]

@@ -37,6 +37,7 @@ pub mod recording;
 pub mod rehearsal;
 pub mod report;
 pub mod robots;
+mod row_file;
 pub mod run;
 pub mod scenario;
 pub mod setup;

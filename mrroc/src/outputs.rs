@@ -43,6 +43,8 @@ pub struct Outputs {
     /// Files that must not be used as outputs.
     known: Vec<(&'static str, Identity)>,
     opened: Vec<Opened>,
+    /// Directories that were made, the outer ones first.
+    made: Vec<PathBuf>,
 }
 
 /// Device and inode, which identify a file regardless of its path.
@@ -66,7 +68,7 @@ impl Outputs {
             // All writers of a pipe, a terminal or a device share one end.
             found.is_file().then(|| (what, identity(&found)))
         });
-        Self { replacement, known: known.collect(), opened: Vec::new() }
+        Self { replacement, known: known.collect(), opened: Vec::new(), made: Vec::new() }
     }
 
     /// Protects the files that `cell` was read from.
@@ -96,7 +98,11 @@ impl Outputs {
 
     /// Opens the output `name` of the option `what` in a directory, which is made where it is not there yet.
     pub fn open_in(&mut self, what: impl Display, directory: &Path, name: &str) -> anyhow::Result<File> {
-        fs::create_dir_all(directory).with_context(|| format!("{what}: {} cannot be made", directory.display()))?;
+        let missing: Vec<_> =
+            directory.ancestors().take_while(|it| !it.as_os_str().is_empty() && !it.exists()).collect();
+        let made = fs::create_dir_all(directory);
+        self.made.extend(missing.into_iter().rev().map(Path::to_owned));
+        made.with_context(|| format!("{what}: {} cannot be made", directory.display()))?;
         self.open(what, &directory.join(name))
     }
 
@@ -172,6 +178,7 @@ impl Outputs {
             emptied.with_context(|| format!("{}: {}", opened.what, opened.path.display()))?;
         }
         self.opened.clear();
+        self.made.clear();
         Ok(())
     }
 }
@@ -184,7 +191,16 @@ impl Drop for Outputs {
                 let _ = fs::remove_file(&opened.path);
             }
         }
+        // A directory with files of others stays.
+        self.made.iter().rev().for_each(|directory| _ = fs::remove_dir(directory));
     }
+}
+
+/// Removes the output `path` if it is still the regular file `file`. Returns whether the file was removed.
+pub fn remove(path: &Path, file: &File) -> bool {
+    let same =
+        |there: &Metadata| file.metadata().is_ok_and(|file| file.is_file() && identity(&file) == identity(there));
+    fs::symlink_metadata(path).is_ok_and(|there| same(&there)) && fs::remove_file(path).is_ok()
 }
 
 /// Refuses what another user may have planted under the name of an output: a link of another user, and a file of another
@@ -299,6 +315,25 @@ mod tests {
         refusal(&mut outputs, &there);
         drop(outputs);
         assert!(!made.exists() && there.exists());
+    }
+
+    #[test]
+    fn a_refused_command_leaves_no_directory_that_it_made() {
+        let directory = tempfile::tempdir().unwrap();
+        let [outer, inner] = ["outer", "outer/inner"].map(|name| directory.path().join(name));
+        let mut outputs = Outputs::new(KEEP);
+        outputs.open_in("--out", &inner, "page").unwrap();
+        drop(outputs);
+        assert!(!outer.exists());
+        fs::create_dir(&outer).unwrap();
+        let mut outputs = Outputs::new(KEEP);
+        outputs.open_in("--out", &inner, "page").unwrap();
+        drop(outputs);
+        assert!(outer.exists() && !inner.exists());
+        let mut outputs = Outputs::new(KEEP);
+        outputs.open_in("--out", &inner, "page").unwrap();
+        outputs.begin().unwrap();
+        assert!(inner.join("page").exists());
     }
 
     #[test]

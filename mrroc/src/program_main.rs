@@ -45,8 +45,8 @@ struct Arguments {
 /// The `main` of a robot program: reads the arguments, rehearses and runs `task`, prints the report.
 ///
 /// The arguments are those of `mrroc run`. `cell` is the default cell file. Moves hardware with `--bench card`. The
-/// exit status is 0 after the end of the task, 1 after a fault or a requested stop, and 2 if the program was refused
-/// before any motion.
+/// exit status is 0 after the end of the task, 1 after a fault, a requested stop or if a file of the run is incomplete, and
+/// 2 if the program was refused before any motion.
 pub fn program(cell: &str, task: impl AsyncFn(&mut Cell) -> Outcome + Send + Sync + 'static) -> ExitCode {
     let Arguments { cell: given, options } = Arguments::parse();
     let cell = given.unwrap_or_else(|| cell.into());
@@ -87,7 +87,7 @@ pub fn run_program(file: &CellFile, options: &ProgramOptions, program: &Program)
         return Ok(ExitCode::from(1));
     }
     Ok(ExitCode::from(match report.outcome {
-        RunOutcome::Completed => 0,
+        RunOutcome::Completed => u8::from(!report.incomplete_files.is_empty()),
         RunOutcome::Faulted | RunOutcome::Stopped => 1,
     }))
 }

@@ -1,7 +1,7 @@
 //! The files a run writes: frames as a candump log, axes and steps as CSV.
 
 use std::fs::File;
-use std::io::{self, BufWriter, Write};
+use std::io::{self, Write};
 
 use anyhow::Context;
 use can::{Traced, candump};
@@ -9,28 +9,34 @@ use controller::ecp::{StepRecord, StepRecords};
 use drive::AxisCommand;
 use servo::Record;
 
+use crate::row_file::{FileName, IncompleteFile, RowFile};
 use crate::{bench::interfaces::Interface, cell::CellFile};
 
 /// A candump log of every frame that passed the ports of a run.
 pub(crate) struct FrameLog {
     names: Vec<can::InterfaceName>,
-    writer: BufWriter<File>,
+    rows: RowFile,
 }
 
 impl FrameLog {
-    pub(crate) fn new(file: File, names: Vec<can::InterfaceName>) -> Self {
-        Self { names, writer: BufWriter::new(file) }
+    pub(crate) fn new(name: FileName, file: File, names: Vec<can::InterfaceName>) -> io::Result<Self> {
+        Ok(Self { names, rows: RowFile::new(name, file, "")? })
     }
 
     /// Writes a frame of bus `bus`.
-    pub(crate) fn write(&mut self, bus: usize, traced: &Traced) -> io::Result<()> {
+    pub(crate) fn write(&mut self, bus: usize, traced: &Traced) {
         let Traced { at, frame, .. } = *traced;
         let entry = candump::Entry { at, interface: self.names[bus], frame, direction: None };
-        writeln!(self.writer, "{entry}")
+        self.rows.row(at, |row| write!(row, "{entry}"));
     }
 
-    pub(crate) fn flush(&mut self) -> io::Result<()> {
-        self.writer.flush()
+    pub(crate) fn flush(&mut self) {
+        self.rows.flush();
+    }
+
+    /// Writes the rest. `dropped`: further frames that found no room.
+    pub(crate) fn finish(self, dropped: u64) -> Option<IncompleteFile> {
+        self.rows.finish(dropped)
     }
 }
 
@@ -48,54 +54,58 @@ pub(crate) struct AxisLog {
     names: Vec<Vec<String>>,
     /// Whether each robot has a force law. The file has a column of displacements if one of them has.
     laws: Vec<bool>,
-    writer: BufWriter<File>,
+    rows: RowFile,
 }
 
 impl AxisLog {
-    pub(crate) fn new(sink: File, file: &CellFile) -> io::Result<Self> {
-        let mut writer = BufWriter::new(sink);
+    pub(crate) fn new(name: FileName, sink: File, file: &CellFile) -> io::Result<Self> {
         let laws: Vec<_> = file.cell.robot.iter().map(|robot| robot.force_law.is_some()).collect();
-        write!(
-            writer,
+        let displacement = if laws.contains(&true) { ",displacement_rad" } else { "" };
+        let head = format!(
             "cycle,time_s,axis,phase,command,commanded_rad,measured_rad,counts,\
-             velocity_rad_per_s,torque_nm,homing,dt_s"
-        )?;
-        writeln!(writer, "{}", if laws.contains(&true) { ",displacement_rad" } else { "" })?;
+             velocity_rad_per_s,torque_nm,homing,dt_s{displacement}\n"
+        );
         let robots = file.cell.robot.iter().enumerate();
         let names =
             robots.map(|(robot, value)| (0..value.axis.len()).map(|axis| file.axis_name(robot, axis)).collect());
-        Ok(Self { names: names.collect(), laws, writer })
+        Ok(Self { names: names.collect(), laws, rows: RowFile::new(name, sink, &head)? })
     }
 
-    pub(crate) fn write(&mut self, record: &Record) -> io::Result<()> {
+    pub(crate) fn write(&mut self, record: &Record) {
         let names = &self.names[usize::from(record.effector)];
+        let (law, any_law) = (self.laws[usize::from(record.effector)], self.laws.contains(&true));
         for (axis, name) in record.axis.iter().zip(names) {
             let seconds = record.at.as_nanos() as f64 / 1e9;
-            write!(
-                self.writer,
-                "{},{seconds:.9},{name},{:?},{},{},{},{},{},{},{:?},{:.9}",
-                record.cycle,
-                record.phase,
-                word(axis.command),
-                axis.commanded,
-                axis.measured,
-                axis.increments.0,
-                axis.velocity,
-                axis.torque,
-                axis.homing,
-                record.dt.as_secs_f64(),
-            )?;
-            match self.laws[usize::from(record.effector)] {
-                true => writeln!(self.writer, ",{}", axis.displacement)?,
-                false if self.laws.contains(&true) => writeln!(self.writer, ",")?,
-                false => writeln!(self.writer)?,
-            }
+            self.rows.row(record.at, |row| {
+                write!(
+                    row,
+                    "{},{seconds:.9},{name},{:?},{},{},{},{},{},{},{:?},{:.9}",
+                    record.cycle,
+                    record.phase,
+                    word(axis.command),
+                    axis.commanded,
+                    axis.measured,
+                    axis.increments.0,
+                    axis.velocity,
+                    axis.torque,
+                    axis.homing,
+                    record.dt.as_secs_f64(),
+                )?;
+                match law {
+                    true => write!(row, ",{}", axis.displacement),
+                    false if any_law => write!(row, ","),
+                    false => Ok(()),
+                }
+            });
         }
-        Ok(())
     }
 
-    pub(crate) fn flush(&mut self) -> io::Result<()> {
-        self.writer.flush()
+    pub(crate) fn flush(&mut self) {
+        self.rows.flush();
+    }
+
+    pub(crate) fn finish(self) -> Option<IncompleteFile> {
+        self.rows.finish(0)
     }
 }
 
@@ -104,41 +114,42 @@ impl AxisLog {
 pub(crate) struct StepFile {
     agents: Vec<String>,
     records: Vec<StepRecords>,
-    writer: BufWriter<File>,
+    rows: RowFile,
 }
 
 impl StepFile {
-    pub(crate) fn new(sink: File, file: &CellFile, records: Vec<StepRecords>) -> io::Result<Self> {
-        let mut writer = BufWriter::new(sink);
-        writeln!(writer, "time_s,agent,instruction,generator,class,macrostep,event,age_s,memory")?;
+    pub(crate) fn new(name: FileName, sink: File, file: &CellFile, records: Vec<StepRecords>) -> io::Result<Self> {
+        let head = "time_s,agent,instruction,generator,class,macrostep,event,age_s,memory\n";
+        let rows = RowFile::new(name, sink, head)?;
         let robots = file.cell.robot.iter().map(|robot| robot.name.clone());
-        Ok(Self { agents: robots.chain(["coordinator".to_owned()]).collect(), records, writer })
+        Ok(Self { agents: robots.chain(["coordinator".to_owned()]).collect(), records, rows })
     }
 
     /// Writes the steps since the last call.
-    pub(crate) fn drain(&mut self) -> io::Result<()> {
+    pub(crate) fn drain(&mut self) {
         for (records, agent) in self.records.iter_mut().zip(&self.agents) {
             while let Ok(record) = records.queue.pop() {
                 let StepRecord { at, motion, generator, class, step, event, age, memory } = record;
                 let (seconds, event) = (at.as_nanos() as f64 / 1e9, event.name());
-                write!(self.writer, "{seconds:.9},{agent},{motion},\"{generator}\",{class},{step},{event},")?;
-                if let Some(age) = age {
-                    write!(self.writer, "{:.9}", age.as_secs_f64())?;
-                }
-                match memory {
-                    Some(memory) => writeln!(self.writer, ",{memory:016x}")?,
-                    None => writeln!(self.writer, ",")?,
-                }
+                self.rows.row(at, |row| {
+                    write!(row, "{seconds:.9},{agent},{motion},\"{generator}\",{class},{step},{event},")?;
+                    if let Some(age) = age {
+                        write!(row, "{:.9}", age.as_secs_f64())?;
+                    }
+                    match memory {
+                        Some(memory) => write!(row, ",{memory:016x}"),
+                        None => write!(row, ","),
+                    }
+                });
             }
         }
-        Ok(())
+        self.rows.flush();
     }
 
-    /// Writes the rest. Returns the number of events that were lost because the file was too slow.
-    pub(crate) fn finish(mut self) -> io::Result<u64> {
-        self.drain()?;
-        self.writer.flush()?;
-        Ok(self.records.iter().map(StepRecords::lost).sum())
+    /// Writes the rest.
+    pub(crate) fn finish(mut self) -> Option<IncompleteFile> {
+        self.drain();
+        self.rows.finish(self.records.iter().map(StepRecords::lost).sum())
     }
 }
 
@@ -165,11 +176,12 @@ mod tests {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../cells").join(cell);
         let (file, directory) = (CellFile::read(&path).unwrap(), tempfile::tempdir().unwrap());
         let path = directory.path().join("record.csv");
-        let mut log = AxisLog::new(File::create(&path).unwrap(), &file).unwrap();
+        let name = FileName::new("--record", &path, "rows");
+        let mut log = AxisLog::new(name, File::create(&path).unwrap(), &file).unwrap();
         let mut record = Record { axes: 5, ..Record::default() };
         record.axis.iter_mut().for_each(|axis| axis.displacement = 0.25);
-        log.write(&record).unwrap();
-        log.flush().unwrap();
+        log.write(&record);
+        assert_eq!(log.finish(), None);
         let text = std::fs::read_to_string(&path).unwrap();
         let mut lines = text.lines().map(str::to_owned);
         std::array::from_fn(|_| lines.next().unwrap())

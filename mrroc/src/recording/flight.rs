@@ -1,6 +1,6 @@
 //! The flight recorder: files with the last seconds, after a fault and on request.
 
-use std::fs::File;
+use std::fs::{self, File};
 use std::io::{BufWriter, Write};
 use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
@@ -131,7 +131,10 @@ impl Flights {
         self.begin_file();
         match self.write_file(window, facts, layout, names) {
             Ok(path) => streams::warn(format_args!("mrroc: the last {:?} are in {}", self.span, path.display())),
-            Err(error) => streams::warn(format_args!("mrroc: the last {:?} cannot be written: {error:#}", self.span)),
+            Err(error) => streams::warn(format_args!(
+                "mrroc: the last {:?} cannot be written: {error:#}: free space on the disk, or name another directory by --flight",
+                self.span
+            )),
         }
     }
 
@@ -150,7 +153,32 @@ impl Flights {
     ) -> anyhow::Result<PathBuf> {
         let (path, mcap) = self.new_file()?;
         let log = path.with_extension("log");
-        let frames = create(&log).with_context(|| log.display().to_string())?;
+        let frames = match create(&log) {
+            Ok(frames) => frames,
+            Err(error) => {
+                let _ = fs::remove_file(&path);
+                return Err(error).context(log.display().to_string());
+            }
+        };
+        self.fill(mcap, frames, window, facts, layout, names).with_context(|| {
+            let left: Vec<_> = [&path, &log].into_iter().filter(|path| fs::remove_file(path).is_err()).collect();
+            match left.is_empty() {
+                true => format!("{}: the part that was written is removed", path.display()),
+                false => format!("{}: the file is partial", path.display()),
+            }
+        })?;
+        Ok(path)
+    }
+
+    fn fill(
+        &self,
+        mcap: File,
+        frames: File,
+        window: &Window,
+        facts: &Facts,
+        layout: &Layout,
+        names: &[InterfaceName],
+    ) -> anyhow::Result<()> {
         let mut frames = BufWriter::new(frames);
         let mut facts = facts.clone();
         facts.texts.insert("whole".to_owned(), window.is_whole().to_string());
@@ -167,8 +195,7 @@ impl Flights {
             anyhow::Ok(())
         })?;
         frames.flush()?;
-        mcap.finish()?;
-        Ok(path)
+        mcap.finish()
     }
 
     /// A new file with the first free number. Nothing that exists is opened, and no link is followed.
@@ -185,6 +212,13 @@ impl Flights {
     }
 }
 
+/// Fails if no file can be made in `directory`: makes a file and removes it.
+pub(super) fn probe(directory: &Path) -> std::io::Result<()> {
+    let path = directory.join(format!(".mrroc-flight-{}", std::process::id()));
+    drop(create(&path)?);
+    fs::remove_file(path)
+}
+
 fn create(path: &Path) -> std::io::Result<File> {
     File::options().write(true).create_new(true).custom_flags(libc::O_NOFOLLOW).open(path)
 }
@@ -192,6 +226,29 @@ fn create(path: &Path) -> std::io::Result<File> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_flight_that_cannot_be_completed_leaves_no_file() {
+        let file = crate::tasks::tests::two_arms();
+        let directory = tempfile::tempdir().unwrap();
+        let flights = Flights::new(&file, directory.path(), FlightRequest::default());
+        let mut window = Window::new(Duration::from_secs(1), 10, 100);
+        // The body of a frame that cannot be decoded fails as a full disk does, after the files were made.
+        let layout = Layout::of(&file);
+        window.push(layout.bus(0), Instant::ZERO, 1, &[0xFF]);
+        let names = [InterfaceName::new("can0").unwrap()];
+        let error = flights.write_file(&window, &Facts::default(), &layout, &names).unwrap_err();
+        assert!(format!("{error:#}").contains("the part that was written is removed"), "{error:#}");
+        assert_eq!(fs::read_dir(directory.path()).unwrap().count(), 0);
+    }
+
+    #[test]
+    fn a_directory_without_writing_is_found_before_the_run() {
+        assert!(probe(Path::new("/proc")).is_err());
+        let directory = tempfile::tempdir().unwrap();
+        probe(directory.path()).unwrap();
+        assert_eq!(fs::read_dir(directory.path()).unwrap().count(), 0);
+    }
 
     #[test]
     fn first_fault_beyond_the_greatest_number_of_files_is_reported_once() {

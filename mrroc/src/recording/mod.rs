@@ -24,7 +24,7 @@ mod sources;
 mod window;
 
 use std::fs::File;
-use std::io::{BufWriter, Write};
+use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -39,7 +39,9 @@ use servo::{JournalEvent, JournalReader, Record};
 use crate::bench::BenchKind;
 use crate::cell::CellFile;
 use crate::outputs::Outputs;
+use crate::row_file::{FileName, IncompleteFile, RowFile};
 use crate::run::RunOptions;
+use crate::streams;
 use file::McapFile;
 use messages::{BusEvent, Call, LineData, Lost, RobotCycle, RobotFault, RobotOrder, Timing, Word};
 use window::Window;
@@ -80,13 +82,15 @@ pub(crate) struct Recorder {
 
 /// A recording of the whole run.
 struct Stream {
+    name: FileName,
+    /// `None` after a failure.
     mcap: Option<McapFile>,
-    frames: BufWriter<File>,
+    frames: RowFile,
     drains: u32,
     flushed: Instant,
-    /// Messages that are missing since a failure.
-    missing: u64,
-    failure: Option<anyhow::Error>,
+    /// Number of messages since the file was completed on the disk, and time of the first.
+    pending: (u64, Option<Instant>),
+    incomplete: Option<IncompleteFile>,
 }
 
 impl Recorder {
@@ -111,16 +115,18 @@ impl Recorder {
         }
     }
 
-    /// Streams the whole run to `mcap`, and the frames of the buses to `frames`.
-    pub(crate) fn stream_to(&mut self, mcap: File, frames: File) -> anyhow::Result<()> {
+    /// Streams the whole run to `mcap` under the name `path`, and the frames of the buses to `frames`.
+    pub(crate) fn stream_to(&mut self, path: &Path, mcap: File, frames: File) -> anyhow::Result<()> {
         let mcap = McapFile::new(mcap, &self.facts, self.layout.channels())?;
+        let log = FileName::new("--record", &path.with_extension("log"), "frames");
         self.stream = Some(Stream {
+            name: FileName::new("--record", path, "messages"),
             mcap: Some(mcap),
-            frames: BufWriter::new(frames),
+            frames: RowFile::new(log, frames, "")?,
             drains: 0,
             flushed: Instant::ZERO,
-            missing: 0,
-            failure: None,
+            pending: (0, None),
+            incomplete: None,
         });
         Ok(())
     }
@@ -178,8 +184,7 @@ impl Recorder {
         self.message(self.layout.bus(bus), entry.now, &BusEvent::of(entry));
         if let (Some(stream), TraceEvent::Frame(traced)) = (&mut self.stream, entry.event) {
             let line = candump_line(self.interfaces[bus], traced);
-            let written = writeln!(stream.frames, "{line}");
-            stream.note(written.map_err(Into::into));
+            stream.frames.row(entry.now, |row| write!(row, "{line}"));
         }
     }
 
@@ -207,13 +212,14 @@ impl Recorder {
         }
     }
 
-    /// Completes the files. `faulted`: the run ended in a fault, of a robot or of the task.
-    pub(crate) fn finish(mut self, lost: u64, faulted: bool) -> anyhow::Result<()> {
+    /// Completes the files, and returns those that are incomplete. `faulted`: the run ended in a fault, of a robot or of the
+    /// task.
+    pub(crate) fn finish(mut self, lost: u64, faulted: bool) -> Vec<IncompleteFile> {
         self.drained(lost);
         if self.flights.as_ref().is_some_and(|flights| flights.is_wanted(faulted)) {
             self.write_flight();
         }
-        self.stream.map_or(Ok(()), Stream::finish)
+        self.stream.map_or_else(Vec::new, Stream::finish)
     }
 
     fn write_flight(&mut self) {
@@ -237,44 +243,49 @@ impl Recorder {
             window.push(channel, time, *number, &self.body);
         }
         if let Some(stream) = &mut self.stream {
-            let written = stream.mcap.as_mut().map(|mcap| mcap.write(channel, time, *number, &self.body));
-            match written {
-                Some(written) => stream.note(written),
-                None => stream.missing += 1,
-            }
+            stream.write(channel, time, *number, &self.body);
         }
     }
 }
 
 impl Stream {
-    /// Ends the recording at its first failure, which is said once. The run goes on.
+    fn write(&mut self, channel: u16, time: Instant, number: u32, body: &[u8]) {
+        if let Some(incomplete) = &mut self.incomplete {
+            incomplete.lost += 1;
+        } else if let Some(mcap) = &mut self.mcap {
+            self.pending = (self.pending.0 + 1, self.pending.1.or(Some(time)));
+            let written = mcap.write(channel, time, number, body);
+            self.note(written);
+        }
+    }
+
+    /// Ends the recording at its first failure, with a warning. The run goes on.
     fn note(&mut self, written: anyhow::Result<()>) {
         let Err(error) = written else { return };
-        if self.failure.is_none() {
-            crate::streams::warn(format_args!("mrroc: the recording ends here, and the run goes on: {error:#}"));
-            self.failure = Some(error);
-        }
-        self.missing += 1;
+        let known = error.chain().find_map(|cause| cause.downcast_ref::<io::Error>());
+        let other = io::Error::other(format!("{error:#}"));
+        let (lost, first) = self.pending;
+        self.incomplete
+            .get_or_insert_with(|| IncompleteFile { lost, ..self.name.ends(known.unwrap_or(&other), first) });
         // The file keeps what was written, without its end.
         self.mcap = None;
     }
 
     fn flush(&mut self) {
         if let Some(mcap) = &mut self.mcap {
-            let flushed = mcap.flush().and_then(|()| Ok(self.frames.flush()?));
+            let flushed = mcap.flush();
             self.note(flushed);
         }
+        self.pending = (0, None);
+        self.frames.flush();
     }
 
-    fn finish(mut self) -> anyhow::Result<()> {
+    fn finish(mut self) -> Vec<IncompleteFile> {
         if let Some(mcap) = self.mcap.take() {
-            let finished = mcap.finish().and_then(|()| Ok(self.frames.flush()?));
+            let finished = mcap.finish();
             self.note(finished);
         }
-        match self.failure {
-            None => Ok(()),
-            Some(error) => Err(error.context(format!("the recording lacks {} messages", self.missing))),
-        }
+        self.incomplete.into_iter().chain(self.frames.finish(0)).collect()
     }
 }
 
@@ -291,10 +302,10 @@ pub(crate) fn is_recording(path: &Path) -> bool {
     path.extension().is_some_and(|extension| extension == "mcap")
 }
 
-/// The files of a recording: MCAP and, beside it, a candump log.
-pub(crate) fn open(outputs: &mut Outputs, path: &Path) -> anyhow::Result<(File, File)> {
+/// The files of a recording, with its path: MCAP and, beside it, a candump log.
+pub(crate) fn open<'a>(outputs: &mut Outputs, path: &'a Path) -> anyhow::Result<(&'a Path, File, File)> {
     let mcap = outputs.open("--record", path)?;
-    Ok((mcap, outputs.open("--record, its candump log", &path.with_extension("log"))?))
+    Ok((path, mcap, outputs.open("--record, its candump log", &path.with_extension("log"))?))
 }
 
 /// The directory of the flight recorder, if the run has one.
@@ -310,6 +321,17 @@ pub(crate) fn flight_directory(file: &CellFile, options: &RunOptions) -> anyhow:
         && !directory.is_dir()
     {
         bail!("--flight: {} is no directory", directory.display());
+    }
+    if let Some(directory) = &directory
+        && let Err(error) = flight::probe(directory)
+    {
+        let place = directory.display();
+        if options.flight.is_some() {
+            bail!("--flight: {place}: no file can be made there: {error}: name another directory");
+        }
+        streams::warn(format_args!(
+            "mrroc: the flight recorder can make no file in the working directory: {error}: name a directory by --flight"
+        ));
     }
     Ok(directory)
 }

@@ -24,6 +24,7 @@ use servo::{Counters, Histogram, Servo, Timing};
 
 use crate::{budget::BusBudget, cell::CellFile, run::ServoHang, wire::WireReport};
 
+pub use crate::row_file::IncompleteFile;
 pub use fault::{ErrorPlace, FaultReport};
 pub use last_cycles::{CycleState, LastCycles};
 pub(crate) use page::page;
@@ -35,6 +36,8 @@ pub(crate) struct RunEnd {
     /// The servo, its robots switched off. A servo thread that hangs keeps its servo.
     pub servo: Result<Servo, ServoHang>,
     pub tracks: Tracks,
+    /// Files that lack entries.
+    pub incomplete: Vec<IncompleteFile>,
     pub timing: Timing,
     /// The cycles around the latest ones.
     pub spikes: Vec<Spike>,
@@ -74,6 +77,8 @@ pub struct RunReport {
     pub faults: Vec<FaultReport>,
     /// Errors that the task received and handled, and errors of instructions that the task had dropped, in their order.
     pub recovered: Vec<FaultReport>,
+    /// Files that were asked for and lack entries, for example because the disk was full. The exit status is then 1.
+    pub incomplete_files: Vec<IncompleteFile>,
     /// Figures that the task reported, by name.
     pub figures: BTreeMap<String, f64>,
     /// Errors that drives reported without a fault.
@@ -163,6 +168,7 @@ impl RunReport {
             wire: take(&mut end.wire),
             faults: take(&mut end.faults),
             recovered: take(&mut end.recovered),
+            incomplete_files: take(&mut end.incomplete),
             figures: BTreeMap::new(),
             idle_faults: Vec::new(),
             denied: take(&mut end.denied),

@@ -125,6 +125,9 @@ impl fmt::Display for RunReport {
         for fault in &self.faults {
             writeln!(f, "fault: {fault}")?;
         }
+        for file in &self.incomplete_files {
+            writeln!(f, "incomplete: {file}")?;
+        }
         write!(f, "{} {}, {:.1} times real time", self.cell, self.outcome, self.realtime_factor)
     }
 }

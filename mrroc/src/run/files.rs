@@ -1,6 +1,8 @@
 //! The files of a run: written in the loop in lockstep, by a thread of their own by the clock.
 
-use std::io;
+use std::fs::File;
+use std::io::Write as _;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
@@ -12,7 +14,9 @@ use serial::LineTraceReader;
 use servo::Record;
 
 use super::Background;
+use crate::outputs;
 use crate::recording::Recorder;
+use crate::row_file::{FileName, IncompleteFile};
 use crate::trace::{AxisLog, FrameLog, StepFile};
 use crate::{cell::CellFile, report::Tracks};
 
@@ -38,23 +42,18 @@ pub(super) struct Logs {
     pub(super) frames: Option<FrameLog>,
     pub(super) axes: Option<AxisLog>,
     pub(super) steps: Option<StepFile>,
-    /// Why the files are written no more.
-    pub(super) failed: Option<anyhow::Error>,
 }
 
 impl Logs {
-    /// Takes what came since the last call; whether all files can still be written. The robots are followed to the end of
-    /// the run all the same.
-    pub(super) fn drain(&mut self) -> bool {
+    /// Takes what came since the last call. A file that cannot be written ends with a warning, and the run goes on.
+    pub(super) fn drain(&mut self) {
         if let Some(recorder) = &mut self.recorder {
             recorder.drain_journal();
         }
-        let mut written = self.drain_ports().context("the trace cannot be written");
-        if let Some(steps) = self.steps.as_mut().filter(|_| self.failed.is_none()) {
-            written = written.and(steps.drain().context("the steps cannot be written"));
+        self.drain_ports();
+        if let Some(steps) = &mut self.steps {
+            steps.drain();
         }
-        let mut axes = self.axes.as_mut().filter(|_| self.failed.is_none());
-        let mut recorded = Ok(());
         let count = self.records.slots();
         if let Ok(records) = self.records.read_chunk(count) {
             let (first, rest) = records.as_slices();
@@ -63,40 +62,35 @@ impl Logs {
                 if let Some(recorder) = &mut self.recorder {
                     recorder.record(record);
                 }
-                if let Some(axes) = axes.as_mut().filter(|_| recorded.is_ok()) {
-                    recorded = axes.write(record);
+                if let Some(axes) = &mut self.axes {
+                    axes.write(record);
                 }
             }
             records.commit_all();
         }
-        if let Some(axes) = axes.filter(|_| recorded.is_ok()) {
-            recorded = axes.flush();
+        if let Some(axes) = &mut self.axes {
+            axes.flush();
         }
-        written = written.and(recorded.context("the record cannot be written"));
         let lost = self.lost();
         if let Some(recorder) = &mut self.recorder {
             recorder.drained(lost);
         }
-        if let Err(error) = written {
-            self.failed = Some(error);
-        }
-        self.failed.is_none()
     }
 
-    /// Takes what passed at ports and lines. The recorder gets all, also after a failure of the trace.
-    fn drain_ports(&mut self) -> io::Result<()> {
-        let mut written = Ok(());
+    /// Takes what passed at ports and lines.
+    fn drain_ports(&mut self) {
         for (bus, reader) in self.buses.iter_mut().enumerate() {
             while let Some(entry) = reader.read_entry() {
                 if let Some(recorder) = &mut self.recorder {
                     recorder.bus(bus, &entry);
                 }
-                if let TraceEvent::Frame(traced) = &entry.event
-                    && let Some(frames) = self.frames.as_mut().filter(|_| self.failed.is_none() && written.is_ok())
-                {
-                    written = frames.write(bus, traced);
+                if let (TraceEvent::Frame(traced), Some(frames)) = (&entry.event, &mut self.frames) {
+                    frames.write(bus, traced);
                 }
             }
+        }
+        if let Some(frames) = &mut self.frames {
+            frames.flush();
         }
         for (line, reader) in self.lines.iter_mut().enumerate() {
             while let Some(entry) = reader.read() {
@@ -105,7 +99,6 @@ impl Logs {
                 }
             }
         }
-        written
     }
 
     /// Entries of ports and lines that found no room.
@@ -118,57 +111,69 @@ impl Logs {
         self.axes.is_some() || self.recorder.is_some()
     }
 
-    /// Takes the rest: what became of the files, and of the robots.
-    pub(super) fn finish(mut self) -> (anyhow::Result<()>, Tracks) {
+    /// Takes the rest: the files that are incomplete, and what became of the robots.
+    pub(super) fn finish(mut self) -> Written {
         self.drain();
-        let lost = self.lost();
-        let recorded =
-            self.recorder.map_or(Ok(()), |recorder| recorder.finish(lost, self.faulted.load(Ordering::Relaxed)));
-        let frames = self.frames.filter(|_| self.failed.is_none());
-        let lost = self.buses.iter().map(TraceReader::lost).sum::<u64>();
-        let finished = frames.map(|mut frames| frames.flush().map(|()| lost)).transpose();
-        let steps = self.steps.filter(|_| self.failed.is_none()).map(StepFile::finish).transpose();
-        let steps = match steps.context("the steps cannot be written") {
-            Ok(Some(lost @ 1..)) => Err(anyhow!("the steps lack {lost} events: the file was too slow")),
-            Ok(_) => Ok(()),
-            Err(error) => Err(error),
-        };
-        let written = match (self.failed, finished) {
-            (Some(error), _) => Err(error),
-            (None, Err(error)) => Err(error).context("the trace cannot be written"),
-            (None, Ok(Some(lost @ 1..))) => Err(anyhow!("the trace lacks {lost} frames: the file was too slow")),
-            (None, Ok(_)) => Ok(()),
-        };
-        (written.and(steps).and(recorded), self.tracks)
+        let (lost, faulted) = (self.lost(), self.faulted.load(Ordering::Relaxed));
+        let frames_lost = self.buses.iter().map(TraceReader::lost).sum::<u64>();
+        let frames = self.frames.and_then(|frames| frames.finish(frames_lost));
+        let axes = self.axes.and_then(AxisLog::finish);
+        let steps = self.steps.and_then(StepFile::finish);
+        let recorded = self.recorder.map_or_else(Vec::new, |recorder| recorder.finish(lost, faulted));
+        let incomplete = frames.into_iter().chain(axes).chain(recorded).chain(steps).collect();
+        Written { incomplete, late: None, tracks: self.tracks }
     }
+}
+
+/// What became of the files and the records of a run.
+pub(super) struct Written {
+    pub(super) incomplete: Vec<IncompleteFile>,
+    /// The files that were not written in time.
+    pub(super) late: Option<anyhow::Error>,
+    pub(super) tracks: Tracks,
+}
+
+/// The name of the file of `option` in messages.
+pub(super) fn named(option: &'static str, path: &Option<PathBuf>, entries: &'static str) -> FileName {
+    FileName::new(option, path.as_deref().unwrap_or(Path::new("")), entries)
+}
+
+/// The option and the path of a file that cannot be begun.
+pub(super) fn begun(option: &str, path: &Option<PathBuf>) -> String {
+    format!("{option}: {}", path.as_deref().unwrap_or(Path::new("")).display())
+}
+
+/// Writes the page of a report. A part of a page is no page, and is removed.
+pub(super) fn write_page(path: &Path, mut file: File, page: &str) -> Option<IncompleteFile> {
+    let error = file.write_all(page.as_bytes()).err()?;
+    let name = FileName::new("--out", path, "page");
+    outputs::remove(path, &file);
+    Some(IncompleteFile { lost: 1, ..name.fails(&error) })
 }
 
 /// The files of a run, written by a thread of its own: a file that takes nothing any more holds up nothing else.
 pub(super) struct Writing {
     what: String,
     wait: Duration,
-    thread: Background<(anyhow::Result<()>, Tracks)>,
+    thread: Background<Written>,
 }
 
 impl Writing {
-    /// Begins. A file that cannot be written raises `failed`.
-    pub(super) fn start(logs: Logs, failed: Arc<AtomicBool>) -> anyhow::Result<Self> {
+    /// Begins.
+    pub(super) fn start(logs: Logs) -> anyhow::Result<Self> {
         let files = [("trace", logs.frames.is_some()), ("record", logs.is_recorded()), ("steps", logs.steps.is_some())];
         let kept: Vec<_> = files.into_iter().filter_map(|(file, kept)| kept.then_some(file)).collect();
         let what = if kept.is_empty() { "records".to_owned() } else { kept.join(" or the ") };
         let wait = if logs.recorder.is_some() { RECORDING_WAIT } else { FILES_WAIT };
-        let drain = move |logs: &mut Logs| {
-            failed.fetch_or(!logs.drain(), Ordering::Relaxed);
-        };
-        let thread = Background::start("files", DRAIN, logs, drain, Logs::finish);
+        let thread = Background::start("files", DRAIN, logs, Logs::drain, Logs::finish);
         Ok(Self { what, wait, thread: thread.context("no thread to write the files can be made")? })
     }
 
     /// Writes the rest, unless that takes too long: then nothing is known of the robots either.
-    pub(super) fn finish(self, file: &CellFile) -> (anyhow::Result<()>, Tracks) {
+    pub(super) fn finish(self, file: &CellFile) -> Written {
         self.thread.finish(self.wait).unwrap_or_else(|| {
             let late = anyhow!("the {} cannot be written in time", self.what);
-            (Err(late), Tracks::new(file, false))
+            Written { incomplete: Vec::new(), late: Some(late), tracks: Tracks::new(file, false) }
         })
     }
 }

@@ -17,9 +17,9 @@
 //! A run in lockstep has the caller and one thread for everything else. With `--threads`, helpers of this second thread
 //! also advance emulated robots. A run by the wall clock does not wait for planning and rehearsal. However a run ends,
 //! the run waits until the servo has braked the arms and switched them off. A run ends with its task, on a signal, when
-//! a trace, record or step file cannot be written, when the task hangs, and by a panic of any of its threads.
-//! The run waits only for a limited time for a file that accepts no data, and for a servo thread that hangs. A drive
-//! that may still have power afterwards is a fault of the run.
+//! the task hangs, and by a panic of any of its threads. A file that cannot be written, for example on a full disk, ends
+//! with a warning and does not end the run. The run waits only for a limited time for a file that accepts no data, and
+//! for a servo thread that hangs. A drive that may still have power afterwards is a fault of the run.
 
 #![expect(clippy::disallowed_methods, reason = "the rim: reads clocks and waits")]
 
@@ -29,6 +29,8 @@ mod descriptions;
 mod ending;
 #[cfg(test)]
 mod fault_lines;
+#[cfg(test)]
+mod file_tests;
 mod files;
 mod options;
 #[cfg(test)]
@@ -42,7 +44,6 @@ mod worker;
 
 use std::cell::Cell as Shared;
 use std::fmt::Display;
-use std::io::Write as _;
 use std::mem::take;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -74,7 +75,7 @@ use crate::wire::Wire;
 use crate::{budget, rehearsal, setup, spikes, streams};
 pub(crate) use background::Background;
 use ending::Over;
-use files::{Logs, Writing};
+use files::{Logs, Writing, Written, begun, named};
 
 use descriptions::{of_guardian, of_power, of_servo_hang, of_servo_thread, servo_faults};
 pub use ending::{Requests, Turning, stopped_once};
@@ -177,7 +178,7 @@ pub fn run(
         _ if record.is_some() || recording.is_some() => LOGGED_RECORDS,
         _ => RECORDS,
     };
-    let axes = record.map(|sink| AxisLog::new(sink, file)).transpose();
+    let axes = record.map(|sink| AxisLog::new(named("--record", &options.record, "rows"), sink, file)).transpose();
     let names = log_names(&bench.interfaces)?;
     let cell = Arc::new(file.clone());
     let recorder = is_recorded.then(|| -> anyhow::Result<Recorder> {
@@ -185,8 +186,8 @@ pub fn run(
         let words = recording::words(&devices, &sensors).into_iter().map(|word| word.taken).collect();
         let journal = servo.keep_journal(JOURNAL, ORDERS, words);
         let mut recorder = Recorder::new(&cell, facts, journal, names.clone());
-        if let Some((mcap, frames)) = recording {
-            recorder.stream_to(mcap, frames)?;
+        if let Some((path, mcap, frames)) = recording {
+            recorder.stream_to(path, mcap, frames).with_context(|| path.display().to_string())?;
         }
         if let Some(directory) = flight {
             recorder.keep_window(Flights::new(file, &directory, requests.flight.clone()));
@@ -194,7 +195,7 @@ pub fn run(
         Ok(recorder)
     });
     let recorder = recorder.transpose().context("--record")?;
-    let frames = trace.map(|sink| FrameLog::new(sink, names));
+    let frames = trace.map(|sink| FrameLog::new(named("--trace", &options.trace, "frames"), sink, names)).transpose();
     let mut task = RunningTask::new(
         &cell,
         program,
@@ -203,7 +204,8 @@ pub fn run(
         &servo,
         &rehearsed,
     );
-    let steps = steps.map(|sink| StepFile::new(sink, file, task.keep_steps(STEPS))).transpose();
+    let step_file = named("--steps", &options.steps, "events");
+    let steps = steps.map(|sink| StepFile::new(step_file, sink, file, task.keep_steps(STEPS))).transpose();
     let logs = Logs {
         records: servo.record(lag * file.cell.robot.len()),
         buses: bench.traces,
@@ -211,10 +213,9 @@ pub fn run(
         recorder,
         faulted: Arc::default(),
         tracks: Tracks::new(file, page.is_some()),
-        failed: None,
-        axes: axes.context("--record")?,
-        steps: steps.context("--steps")?,
-        frames,
+        axes: axes.with_context(|| begun("--record", &options.record))?,
+        steps: steps.with_context(|| begun("--steps", &options.steps))?,
+        frames: frames.with_context(|| begun("--trace", &options.trace))?,
     };
     if let (Some(sink), Some(emulation)) = (truth, &mut bench.emulation) {
         emulation.log_truth(TruthLog::new(sink, file).context("--truth")?);
@@ -276,13 +277,13 @@ pub fn run(
     let mut report = RunReport::of(file, bench, &mut end, &budget, wall, outcome);
     report.figures = figures.all();
     report.idle_faults = played.idle();
-    if let Some(mut file) = page {
-        let written = report::page(&report, &end.tracks, &end.timing)
-            .context(REPORT)
-            .and_then(|page| file.write_all(page.as_bytes()).with_context(|| format!("{REPORT} cannot be written")));
-        if let Err(error) = written {
-            report.faults.push(FaultReport::of_run(error));
-            report.outcome = RunOutcome::Faulted;
+    if let (Some(file), Some(directory)) = (page, &options.out) {
+        match report::page(&report, &end.tracks, &end.timing).context(REPORT) {
+            Ok(page) => report.incomplete_files.extend(files::write_page(&directory.join(REPORT), file, &page)),
+            Err(error) => {
+                report.faults.push(FaultReport::of_run(error));
+                report.outcome = RunOutcome::Faulted;
+            }
         }
     }
     Ok(report)
@@ -310,14 +311,15 @@ fn not_up(
     file: &CellFile,
     servo: Servo,
     cell_time: Duration,
-    (written, tracks): (anyhow::Result<()>, Tracks),
+    Written { incomplete, late, tracks }: Written,
     why: NotUp,
 ) -> anyhow::Result<RunEnd> {
-    written?;
+    late.map_or(Ok(()), Err)?;
     if why == NotUp::Stopped {
         return Ok(RunEnd {
             servo: Ok(servo),
             tracks,
+            incomplete,
             timing: Timing::default(),
             spikes: Vec::new(),
             denied: Vec::new(),
@@ -389,7 +391,8 @@ fn in_lockstep(
     // then have at least the frames of the cycle before.
     let mut control = |now| {
         wire.look();
-        let going = logs.drain() && carrying.poll(now, &mut *progress);
+        logs.drain();
+        let going = carrying.poll(now, &mut *progress);
         done.set(!going || interrupted.load(Ordering::Relaxed));
     };
     let end = lockstep::run(
@@ -405,16 +408,17 @@ fn in_lockstep(
     wire.look();
     let TaskErrors { mut faults, recovered, received } = carrying.finish();
     logs.faulted.store(!faults.is_empty(), Ordering::Relaxed);
-    let (written, tracks) = logs.finish();
+    let Written { incomplete, tracks, .. } = logs.finish();
     if interrupted.load(Ordering::Relaxed) {
         // The request broke off the instructions of the task.
         faults.retain(|fault| fault.robot.is_none());
     }
     let truth = emulation.finish().context("the truth of the scene cannot be written");
-    faults.extend(written.and(truth).err().map(FaultReport::of_run));
+    faults.extend(truth.err().map(FaultReport::of_run));
     Ok(RunEnd {
         servo: Ok(servo),
         tracks,
+        incomplete,
         timing,
         spikes: Vec::new(),
         denied: Vec::new(),
@@ -438,7 +442,7 @@ fn by_the_clock(
     let began = clock::now();
     let done = Arc::new(AtomicBool::new(false));
     let faulted = logs.faulted.clone();
-    let writing = Writing::start(logs, done.clone())?;
+    let writing = Writing::start(logs)?;
     let listening = wire.listen()?;
     let finished = done.clone();
     let crew = requests.crew.clone();
@@ -553,8 +557,8 @@ fn by_the_clock(
     let hang = hang.map(|hang| of_servo_hang(file, &hang, stopped));
     faults.splice(..0, guarded.into_iter().chain(hang));
     faulted.store(!faults.is_empty() || panicked.is_some() || requests.crew.has_unwound(), Ordering::Relaxed);
-    let (written, tracks) = writing.finish(file);
-    faults.extend(written.err().map(FaultReport::of_run));
+    let Written { incomplete, late, tracks } = writing.finish(file);
+    faults.extend(late.map(FaultReport::of_run));
     faults.splice(..0, panicked.map(|panicked| of_servo_thread(file, panicked, requests.crew.cycles())));
     let (servo, timing, spikes, denied) = match ended {
         Ok(Finished { servo, timing, spikes, denied, .. }) => (Ok(servo), timing, spikes, denied),
@@ -563,6 +567,7 @@ fn by_the_clock(
     Ok(RunEnd {
         servo,
         tracks,
+        incomplete,
         timing,
         spikes,
         denied: denied.iter().map(ToString::to_string).collect(),
