@@ -172,8 +172,7 @@ mod tests {
     fn a_position_that_starts_at_once_after_a_standstill_is_found() {
         let fine = 4000.0 / std::f64::consts::TAU;
         // Samples of a counter that stands still for some samples, and the increments of its next step.
-        for (samples, step, found) in
-            [(4, 400, true), (4, -400, true), (3, 400, false), (50, 400, true), (50, 70, false)]
+        for (samples, step, found) in [(4, 90, true), (4, -90, true), (3, 400, false), (50, 400, true), (50, 70, false)]
         {
             let mut progress = Progress::default();
             let mut take = |counter| {
@@ -247,6 +246,20 @@ mod tests {
             assert!(frozen[54..54 + remembered].iter().all(|&found| found), "{speed}");
             // A motor brakes from its greatest speed in 84 samples.
             assert!(frozen[54 + 2 * 84..].iter().all(|&found| !found), "{speed}");
+        }
+    }
+
+    #[test]
+    fn dry_friction_may_hold_a_motor_below_a_fiftieth_of_its_greatest_speed() {
+        let fine = 4000.0 / std::f64::consts::TAU;
+        for (speed, expected) in [(3.5, false), (8.0, true)] {
+            let mut progress = Progress::default();
+            let stuck = (0..100).any(|number| {
+                let increments = Increments((speed * DT * f64::from(number.min(50)) * fine) as i32);
+                progress.observe(&AxisState { increments, ..AxisState::default() }, DT);
+                progress.frozen(fine, 250.0, 100.0).is_some()
+            });
+            assert_eq!(stuck, expected, "{speed}");
         }
     }
 
