@@ -1,0 +1,109 @@
+"""The parts of each ring.
+
+A ring is a list of parts. `quick` needs no root, no network and no clock. `run` is the test command of the README.
+"""
+import os
+import shutil
+import sys
+
+from . import long
+from .command import Command
+from .executables import Executables, Messages
+from .schedule import Part
+
+LOCKED = "--locked"
+ALL = None
+
+
+def root(*words):
+    """A command that needs root."""
+    return words if os.geteuid() == 0 else ("sudo", *words)
+
+
+def left_out(option):
+    """Why the parts of `option` are left out, or nothing."""
+    named = os.environ.get("MRROC_LEAVE_OUT", "").split(",")
+    return f"MRROC_LEAVE_OUT has {option}" if option in named else None
+
+
+def format_part():
+    outside = ["tests/peers/rust/Cargo.toml", "tests/outside/Cargo.toml"]
+    return Part(
+        "format", "build", Command("cargo", "fmt", "--all", "--check"),
+        *[Command("cargo", "fmt", "--manifest-path", manifest, "--check") for manifest in outside],
+    )
+
+
+# One selection of packages for all release builds: another selection may give a crate other features, and build it again.
+WHOLE = ["-p", "mrroc-console", "-p", "mrroc", "-p", "mrroc-tests"]
+MESSAGES = ["--no-run", "--message-format", "json-render-diagnostics"]
+
+
+def unit_parts(only, env=None):
+    """Tests of single crates, in the profile dev."""
+    messages = Messages()
+    build = ["cargo", "test", "--workspace", "--exclude", "mrroc-tests", LOCKED, "--lib", "--bins", "--tests", *MESSAGES]
+    run = Executables(messages, only=only, chosen=lambda name: True, threads=os.cpu_count(), at_once=2, env=env)
+    return [
+        Part("build", "build", Command(*build, reader=messages), processors=ALL, lock="target"),
+        Part("units", "test", run, needs=["build"], processors=ALL),
+    ]
+
+
+def release_part(messages):
+    """Programs and system tests, in the profile release. The programs are those that the README's commands build."""
+    tests = ["cargo", "test", "--release", *WHOLE, LOCKED, "--test", "system", "--test", "clock", *MESSAGES]
+    programs = ["cargo", "build", "--release", *WHOLE, LOCKED, "--quiet", "--bins", "--examples"]
+    return Part("release", "build", Command(*programs), Command(*tests, reader=messages), processors=ALL, lock="target")
+
+
+def system_part(messages, only, env=None):
+    """System tests in virtual time. They keep all processors busy."""
+    run = Executables(messages, only=only, chosen="mrroc-tests/system".__eq__, threads=os.cpu_count() + 1, env=env)
+    return Part("system", "test", run, needs=["release"], processors=ALL)
+
+
+def quick(only):
+    return [format_part(), *unit_parts(only, env={"MRROC_RING": "quick"})]
+
+
+def run(only):
+    messages = Messages()
+    vcan, qemu, peers, package = map(left_out, ["vcan", "qemu", "peers", "package"])
+    lints = ["cargo", "clippy", "--workspace", "--all-targets", LOCKED, "--quiet", "--", "-D", "warnings"]
+    documentation = ["cargo", "doc", "--workspace", "--no-deps", LOCKED, "--quiet"]
+    # Most of these tests wait for a clock. Their programs precede all others, which only root may arrange.
+    clock = Executables(messages, only=only, chosen="mrroc-tests/clock".__eq__, threads=os.cpu_count() + 4, niceness=-10)
+    return [
+        Part("packages", "download", Command("tests/install", "packages")),
+        Part("kernel", "download", Command("tests/install", "kernel"), needs=["packages"], left_out=qemu),
+        Part("python", "download", Command("tests/install", "python"), needs=["packages"], left_out=peers),
+        Part("debian", "download", Command(*root("packaging/test", "prepare")), needs=["packages"], left_out=package),
+        format_part(),
+        Part("dependencies", "build", Command("tests/deny/check")),
+        release_part(messages),
+        Part("peers", "build", Command("tests/install", "peers"), needs=["packages"], processors=ALL, left_out=peers),
+        Part("clock", "test", clock, needs=["release", "packages", "kernel", "python", "peers"], processors=0.6),
+        Part("readme", "test", Command(sys.executable, "tests/readme"), needs=["release", "clock"], processors=0.6),
+        system_part(messages, only),
+        *unit_parts(only),
+        Part("faults", "test", Command("tests/fault-table"), needs=["release"]),
+        Part("documented", "test", Command("cargo", "test", "--workspace", LOCKED, "--quiet", "--doc"), needs=["build"],
+             processors=ALL, lock="target"),
+        Part("lints", "build", Command(*lints), processors=ALL, lock="target"),
+        Part("documentation", "build", Command(*documentation, env={"RUSTDOCFLAGS": "-D warnings"}), processors=ALL,
+             lock="target"),
+        Part("sanitizer-build", "build", Command("tests/realtime-sanitizer", "build"), processors=ALL),
+        Part("sanitizer", "test", Command("tests/realtime-sanitizer"), needs=["sanitizer-build", "clock"],
+             processors=0.6),
+        Part("package", "test", Command("packaging/build", "release"), Command(*root("packaging/test")),
+             needs=["debian", "release"], lock="target", left_out=package),
+    ]
+
+
+RINGS = ["quick", "run", "long"]
+
+
+def of(ring, only, seed):
+    """The parts of a ring."""
+    return long.parts(only, seed) if ring == "long" else {"quick": quick, "run": run}[ring](only)
