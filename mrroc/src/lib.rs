@@ -26,7 +26,6 @@ pub mod budget;
 pub mod cell;
 pub mod charts;
 pub mod check;
-pub mod fault_table;
 pub mod guardian;
 pub mod input;
 mod motions;

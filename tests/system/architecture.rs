@@ -10,7 +10,7 @@ fn root() -> PathBuf {
 }
 
 /// Each room and the rooms it may import, by their names in the workspace.
-const ARROWS: [(&str, &[&str]); 16] = [
+const ARROWS: [(&str, &[&str]); 17] = [
     ("drivers/can", &[]),
     ("drivers/canopen", &["can"]),
     ("drivers/master", &["can", "canopen"]),
@@ -21,11 +21,12 @@ const ARROWS: [(&str, &[&str]); 16] = [
     ("hil", &["can", "canopen", "serial"]),
     ("mrroc", BELOW_LIBRARY),
     ("tools/descriptions", &["can", "controller", "hil", "mrroc"]),
+    ("tools/faults", &["can", "serial", "drive", "servo", "controller", "hil", "mrroc"]),
     ("tools/host", &["can", "servo", "mrroc"]),
     ("tools/identify", &["can", "servo", "mrroc"]),
     ("tools/service", &["can", "canopen", "master", "serial", "drive", "hil", "mrroc"]),
-    ("console", &["can", "canopen", "hil", "mrroc", "descriptions", "host", "identify", "service"]),
-    ("tests", &["can", "canopen", "master", "serial", "drive", "servo", "controller", "hil", "mrroc"]),
+    ("console", &["can", "canopen", "hil", "mrroc", "descriptions", "faults", "host", "identify", "service"]),
+    ("tests", &["can", "canopen", "master", "serial", "drive", "servo", "controller", "hil", "mrroc", "faults"]),
     ("fuzz/targets", &["can", "canopen", "master", "serial", "drive", "controller", "hil", "mrroc"]),
 ];
 
