@@ -4,8 +4,8 @@ use std::io::Write as _;
 use std::path::Path;
 use std::process::ExitCode;
 
+use ::faults::{FaultOptions, fault_table};
 use mrroc::cell::CellFile;
-use mrroc::fault_table::{FaultOptions, fault_table};
 use mrroc::outputs::{self, Outputs, Replacement};
 use mrroc::streams;
 

@@ -87,7 +87,7 @@ enum Command {
         /// The cell file.
         cell: PathBuf,
         #[command(flatten)]
-        options: mrroc::fault_table::FaultOptions,
+        options: ::faults::FaultOptions,
         #[command(flatten)]
         replacement: mrroc::outputs::Replacement,
     },

@@ -19,20 +19,30 @@
 //! # Ok::<(), mrroc::Error>(())
 //! ```
 //!
-//! [`program`] is the `main` of such a program, with all options of `mrroc run`.
+//! `program` is the `main` of such a program, with all options of `mrroc run`.
+//!
+//! Features, of which the first three are on by default:
+//!
+//! - `command-line`: `program`, options of the command line, signals, console of the operator;
+//! - `pages`: page of a report (`RunOptions::out`), and charts;
+//! - `recording`: MCAP recordings, flight recorder and replay;
+//! - `schema`: JSON schema of cell files and scenario files.
 
 pub mod bench;
 pub mod budget;
 pub mod cell;
+#[cfg(feature = "pages")]
 pub mod charts;
 pub mod check;
-pub mod fault_table;
 pub mod guardian;
 pub mod input;
 mod motions;
+#[cfg(feature = "command-line")]
 mod operator;
 pub mod outputs;
+#[cfg(feature = "command-line")]
 mod program_main;
+#[cfg(feature = "recording")]
 pub mod recording;
 pub mod rehearsal;
 pub mod report;
@@ -41,6 +51,7 @@ mod row_file;
 pub mod run;
 pub mod scenario;
 pub mod setup;
+#[cfg(feature = "command-line")]
 pub mod signals;
 pub mod spikes;
 pub mod streams;
@@ -51,6 +62,7 @@ pub mod wire;
 pub use check::check;
 pub use controller::coordination::carry;
 pub use motions::{Motions, PoseSize};
+#[cfg(feature = "command-line")]
 pub use program_main::{ProgramOptions, program, run_program};
 pub use tasks::Program;
 
@@ -67,7 +79,7 @@ pub type Error = anyhow::Error;
 /// the outcome. Moves hardware on [`BenchKind::Card`].
 ///
 /// This function catches no signal. If a signal ends the process, only the drives' own watchdogs stop the robots.
-/// [`program`], and [`run::run`] with [`Requests`], brake first.
+/// `program`, and [`run::run`] with [`Requests`], brake first.
 pub fn run(
     cell: &CellFile,
     bench: BenchKind,

@@ -9,17 +9,17 @@ use std::os::unix::fs::{FileTypeExt, MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
-use clap::Args;
 use nix::fcntl::{FcntlArg, OFlag, fcntl};
 use nix::unistd::geteuid;
 
 use crate::cell::CellFile;
 
 /// The option of a command that writes files.
-#[derive(Args, Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug, Default)]
+#[cfg_attr(feature = "command-line", derive(clap::Args))]
 pub struct Replacement {
     /// Replace existing files. Without this option, an existing file is an error.
-    #[arg(long)]
+    #[cfg_attr(feature = "command-line", arg(long))]
     pub force: bool,
 }
 

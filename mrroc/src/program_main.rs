@@ -60,7 +60,12 @@ pub fn program(cell: &str, task: impl AsyncFn(&mut Cell) -> Outcome + Send + Syn
 pub fn run_program(file: &CellFile, options: &ProgramOptions, program: &Program) -> anyhow::Result<ExitCode> {
     signals::block_suspension()?;
     let requests = Requests::default();
-    for request in [&requests.spikes, &requests.flight.0] {
+    let flags = [
+        &requests.spikes,
+        #[cfg(feature = "recording")]
+        &requests.flight.0,
+    ];
+    for request in flags {
         flag::register(SIGUSR1, Arc::clone(request)).context("SIGUSR1 cannot be caught")?;
     }
     let (asked, motion) = (requests.clone(), Motion::on(options.run.bench));

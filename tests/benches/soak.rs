@@ -11,7 +11,7 @@ use std::process::ExitCode;
 use std::time::{Duration, Instant};
 
 use ::mrroc::cell::CellFile;
-use ::mrroc::fault_table::soak::{SoakOptions, soak};
+use faults::soak::{SoakOptions, soak};
 
 /// Arguments of the program.
 struct Arguments {

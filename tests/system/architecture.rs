@@ -4,13 +4,14 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::process::Command;
 
 fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("the tests' room is inside the workspace").to_owned()
 }
 
 /// Each room and the rooms it may import, by their names in the workspace.
-const ARROWS: [(&str, &[&str]); 16] = [
+const ARROWS: [(&str, &[&str]); 17] = [
     ("drivers/can", &[]),
     ("drivers/canopen", &["can"]),
     ("drivers/master", &["can", "canopen"]),
@@ -21,11 +22,12 @@ const ARROWS: [(&str, &[&str]); 16] = [
     ("hil", &["can", "canopen", "serial"]),
     ("mrroc", BELOW_LIBRARY),
     ("tools/descriptions", &["can", "controller", "hil", "mrroc"]),
+    ("tools/faults", &["can", "serial", "drive", "servo", "controller", "hil", "mrroc"]),
     ("tools/host", &["can", "servo", "mrroc"]),
     ("tools/identify", &["can", "servo", "mrroc"]),
     ("tools/service", &["can", "canopen", "master", "serial", "drive", "hil", "mrroc"]),
-    ("console", &["can", "canopen", "hil", "mrroc", "descriptions", "host", "identify", "service"]),
-    ("tests", &["can", "canopen", "master", "serial", "drive", "servo", "controller", "hil", "mrroc"]),
+    ("console", &["can", "canopen", "hil", "mrroc", "descriptions", "faults", "host", "identify", "service"]),
+    ("tests", &["can", "canopen", "master", "serial", "drive", "servo", "controller", "hil", "mrroc", "faults"]),
     ("fuzz/targets", &["can", "canopen", "master", "serial", "drive", "controller", "hil", "mrroc"]),
 ];
 
@@ -179,4 +181,25 @@ fn emulators_cannot_name_a_state_machine_of_the_host() {
     // The host and the emulators share frame layouts.
     assert!(reach("hil").contains("canopen") && reach("drive").contains("canopen"));
     assert!(reach("drive").contains("master"));
+}
+
+/// Greatest number of crates in a program that leaves out all features of the library, with the crates of the library.
+const MOST_CRATES: usize = 120;
+
+#[test]
+fn a_program_without_features_of_the_library_needs_few_crates() {
+    let tree = ["tree", "-p", "mrroc", "--no-default-features", "-e", "normal", "--prefix", "none", "--no-dedupe"];
+    let output =
+        Command::new(env!("CARGO")).args(tree).args(["--offline", "--locked"]).current_dir(root()).output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let text = String::from_utf8(output.stdout).unwrap();
+    let crates: BTreeSet<&str> = text.lines().filter(|line| !line.is_empty()).collect();
+    assert!(crates.len() <= MOST_CRATES, "{} crates: {crates:?}", crates.len());
+    for absent in ["clap", "indicatif", "mcap", "plotters", "prost", "schemars", "signal-hook"] {
+        assert!(!crates.iter().any(|name| name.split(' ').next() == Some(absent)), "{absent} belongs to a feature");
+    }
+    // The list is that of a dependency graph.
+    for present in ["mrroc-can", "mrroc-servo", "serde"] {
+        assert!(crates.iter().any(|name| name.split(' ').next() == Some(present)), "{present} is missing");
+    }
 }

@@ -3,9 +3,9 @@
 use std::fs;
 use std::time::Duration;
 
+use ::faults::{Detector, FaultOptions, FaultPhase, FaultTable, fault_table};
 use ::mrroc::bench::BenchKind;
 use ::mrroc::cell::CellFile;
-use ::mrroc::fault_table::{Detector, FaultOptions, FaultPhase, FaultTable, fault_table};
 use ::mrroc::report::{RunOutcome, RunReport};
 use ::mrroc::run::{Requests, RunOptions, run};
 use ::mrroc::tasks::CarriedTask;

@@ -2,8 +2,8 @@
 
 use std::time::Duration;
 
+use ::faults::soak::{MOST_GROWTH_KIB, SoakOptions, soak};
 use ::mrroc::cell::CellFile;
-use ::mrroc::fault_table::soak::{MOST_GROWTH_KIB, SoakOptions, soak};
 
 use crate::mrroc::example;
 

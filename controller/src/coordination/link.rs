@@ -8,6 +8,9 @@ use std::time::Duration;
 use can::Instant;
 use thiserror::Error;
 
+#[cfg(any(test, feature = "test-hooks"))]
+use super::messages::Disturbance;
+use super::messages::{Numbered, Receiver, Sender, pop, queue};
 use crate::generator::{Message, Received, Sample};
 
 /// Capacity of the queue of each direction, messages.
@@ -68,50 +71,6 @@ impl Patience {
     }
 }
 
-/// Disturbance of one message of a link, for tests.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Disturbance {
-    /// The message does not arrive.
-    Lost,
-    /// The message arrives twice.
-    Doubled,
-    /// The message has the number of the next step, as if both were exchanged. Orders and answers alternate: the next
-    /// message is sent only after the other end has taken this one. An exchange of two messages is therefore a loss.
-    Swapped,
-    /// The message arrives this much later.
-    Late(Duration),
-}
-
-/// A step, and the disturbance of its message.
-type Disturbed = (u64, Disturbance);
-
-/// Queues a message. Returns false if the queue is full.
-fn push<T: Copy>(queue: &mut rtrb::Producer<Numbered<T>>, message: Numbered<T>, disturbed: Option<Disturbed>) -> bool {
-    match disturbed.filter(|(step, _)| *step == message.step) {
-        None => queue.push(message).is_ok(),
-        Some((_, Disturbance::Lost)) => true,
-        Some((_, Disturbance::Doubled)) => queue.push(message).is_ok() && queue.push(message).is_ok(),
-        Some((step, Disturbance::Swapped)) => queue.push(Numbered { step: step + 1, ..message }).is_ok(),
-        Some((_, Disturbance::Late(late))) => queue.push(Numbered { due: message.at + late, ..message }).is_ok(),
-    }
-}
-
-/// The next message that has arrived by `now`.
-fn pop<T: Copy>(queue: &mut rtrb::Consumer<Numbered<T>>, now: Instant) -> Option<Numbered<T>> {
-    queue.peek().is_ok_and(|message| message.due <= now).then(|| queue.pop().ok())?
-}
-
-/// A message with its number.
-#[derive(Clone, Copy, Debug)]
-struct Numbered<T> {
-    step: u64,
-    /// Time at which the message was sent.
-    at: Instant,
-    /// Time before which a delayed message does not arrive; zero for a message without delay.
-    due: Instant,
-    value: T,
-}
-
 /// A message of the coordinator to a member.
 #[derive(Clone, Copy, Debug)]
 enum Directive<C> {
@@ -142,18 +101,17 @@ pub(crate) enum Turn {
 
 /// The coordinator's end of a link.
 pub struct CoordinatorEnd<C, R> {
-    orders: rtrb::Producer<Numbered<Directive<C>>>,
-    answers: Answers<rtrb::Consumer<Numbered<R>>, R>,
+    orders: Sender<Directive<C>>,
+    answers: Answers<Receiver<R>, R>,
     /// Number of the next order of [`send`](Self::send), and of the next answer.
     next_order: u64,
     next_answer: u64,
-    disturbed: Option<Disturbed>,
 }
 
 /// The member's end of a link.
 pub struct MemberEnd<C, R> {
-    orders: rtrb::Consumer<Numbered<Directive<C>>>,
-    answers: Answers<rtrb::Producer<Numbered<R>>, R>,
+    orders: Receiver<Directive<C>>,
+    answers: Answers<Sender<R>, R>,
     config: LinkConfig,
     /// Number of the next order.
     next: u64,
@@ -171,26 +129,19 @@ pub struct MemberEnd<C, R> {
     /// Whether a step has read the order received.
     read: Cell<bool>,
     ended: bool,
-    disturbed: Option<Disturbed>,
 }
 
 /// A new link.
 pub fn link<C: Message, R: Message>(config: LinkConfig) -> (CoordinatorEnd<C, R>, MemberEnd<C, R>) {
-    let (order_sender, orders) = rtrb::RingBuffer::new(QUEUE);
+    let (order_sender, orders) = queue(QUEUE);
     let (answers, answer_receiver) = if config.blocking {
-        let (sender, receiver) = rtrb::RingBuffer::new(QUEUE);
+        let (sender, receiver) = queue(QUEUE);
         (Answers::All(sender), Answers::All(receiver))
     } else {
         let latest = Arc::default();
         (Answers::Latest(Arc::clone(&latest)), Answers::Latest(latest))
     };
-    let coordinator = CoordinatorEnd {
-        orders: order_sender,
-        answers: answer_receiver,
-        next_order: 0,
-        next_answer: 0,
-        disturbed: None,
-    };
+    let coordinator = CoordinatorEnd { orders: order_sender, answers: answer_receiver, next_order: 0, next_answer: 0 };
     let received = Received::None;
     let member = MemberEnd {
         orders,
@@ -205,7 +156,6 @@ pub fn link<C: Message, R: Message>(config: LinkConfig) -> (CoordinatorEnd<C, R>
         received,
         read: Cell::new(false),
         ended: false,
-        disturbed: None,
     };
     (coordinator, member)
 }
@@ -248,15 +198,16 @@ impl<C: Message, R: Message> CoordinatorEnd<C, R> {
     }
 
     fn send(&mut self, at: Instant, value: Directive<C>) -> bool {
-        let message = Numbered { step: self.next_order, at, due: Instant::ZERO, value };
-        let sent = push(&mut self.orders, message, self.disturbed);
+        let sent = self.orders.push(Numbered::new(self.next_order, at, value));
         self.next_order += u64::from(sent);
         sent
     }
 
-    /// Disturbs the order of a step, for tests of a team.
+    /// Disturbs the order of a step.
+    #[cfg(any(test, feature = "test-hooks"))]
+    #[doc(hidden)]
     pub fn disturb(&mut self, step: u64, disturbance: Disturbance) {
-        self.disturbed = Some((step, disturbance));
+        self.orders.disturb(step, disturbance);
     }
 }
 
@@ -295,9 +246,13 @@ pub(crate) trait MemberLink: Send {
 }
 
 impl<C: Message, R: Message> MemberEnd<C, R> {
-    /// Disturbs the answer of a step, for tests of a team.
+    /// Disturbs the answer of a step, if the link waits.
+    #[cfg(any(test, feature = "test-hooks"))]
+    #[doc(hidden)]
     pub fn disturb(&mut self, step: u64, disturbance: Disturbance) {
-        self.disturbed = Some((step, disturbance));
+        if let Answers::All(queue) = &mut self.answers {
+            queue.disturb(step, disturbance);
+        }
     }
 
     /// Takes one order from the queue. Returns whether the queue had an order.
@@ -404,10 +359,10 @@ impl<C: Message, R: Message> MemberLink for MemberEnd<C, R> {
         let Some(&value) = answer.downcast_ref::<R>() else {
             return false;
         };
-        let answer = Numbered { step: self.next_answer, at, due: Instant::ZERO, value };
+        let answer = Numbered::new(self.next_answer, at, value);
         match &mut self.answers {
             Answers::All(queue) => {
-                if !push(queue, answer, self.disturbed) {
+                if !queue.push(answer) {
                     return false;
                 }
             }

@@ -19,10 +19,13 @@ pub mod carry;
 mod conduct;
 mod coordinator;
 mod link;
+mod messages;
 #[cfg(test)]
 mod tests;
 
 pub(crate) use conduct::{Conduct, CoordinatorJournal, Desk};
 pub use coordinator::{Answers, Coordinator, CoordinatorError, NextOrders, Orders};
-pub use link::{CoordinatorEnd, Disturbance, Late, LinkConfig, LinkError, MemberEnd, link};
+pub use link::{CoordinatorEnd, Late, LinkConfig, LinkError, MemberEnd, link};
 pub(crate) use link::{MemberLink, Patience, Turn};
+#[cfg(any(test, feature = "test-hooks"))]
+pub use messages::Disturbance;

@@ -33,7 +33,9 @@ pub use agents::{Agent, Agents, News, Observer, Replacer};
 pub use error::{InstructionError, NotedError, SystemError};
 pub use join::{join, join_all};
 pub use loose::LooseLink;
-pub use team::{DisturbedMessage, Members, Team, TeamError};
+#[cfg(feature = "test-hooks")]
+pub use team::DisturbedMessage;
+pub use team::{Members, Team, TeamError};
 pub use turns::{Turns, Work};
 
 /// How a task ended.

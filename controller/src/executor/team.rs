@@ -7,9 +7,13 @@ use thiserror::Error;
 
 use super::join::Part;
 use super::{Agent, InstructionError, join_all};
-use crate::coordination::{Answers, Conduct, Coordinator, CoordinatorError, Disturbance, LinkConfig, link};
+use crate::coordination::{Answers, Conduct, Coordinator, CoordinatorError, LinkConfig, link};
+#[cfg(feature = "test-hooks")]
+use crate::coordination::{CoordinatorEnd, Disturbance, MemberEnd};
 use crate::ecp::Task;
 use crate::generator::Generator;
+#[cfg(feature = "test-hooks")]
+use crate::generator::Message;
 use crate::sensor::{SensorRefused, Sensors, Shell, VirtualSensor};
 
 /// Effectors that execute motions together: tight coordination.
@@ -20,10 +24,13 @@ pub struct Team<'a, const N: usize> {
     members: [&'a mut Agent; N],
     link: LinkConfig,
     sensors: Sensors,
+    #[cfg(feature = "test-hooks")]
     disturbed: Option<DisturbedMessage>,
 }
 
-/// A message of a team that is disturbed, for tests.
+/// A message of a team that is disturbed.
+#[cfg(feature = "test-hooks")]
+#[doc(hidden)]
 #[derive(Clone, Copy, Debug)]
 pub struct DisturbedMessage {
     /// Index of the member in the team.
@@ -84,7 +91,13 @@ pub enum TeamError {
 impl<'a, const N: usize> Team<'a, N> {
     /// A team of these members. `link` is the configuration of each link to the coordinator.
     pub fn new(members: [&'a mut Agent; N], link: LinkConfig) -> Self {
-        Self { members, link, sensors: Sensors::default(), disturbed: None }
+        Self {
+            members,
+            link,
+            sensors: Sensors::default(),
+            #[cfg(feature = "test-hooks")]
+            disturbed: None,
+        }
     }
 
     /// Replaces the configuration of the links.
@@ -92,7 +105,9 @@ impl<'a, const N: usize> Team<'a, N> {
         self.link = link;
     }
 
-    /// Disturbs one message of the next motion, for tests of the reaction.
+    /// Disturbs one message of the next motion.
+    #[cfg(feature = "test-hooks")]
+    #[doc(hidden)]
     pub fn disturb(&mut self, message: DisturbedMessage) {
         self.disturbed = Some(message);
     }
@@ -116,15 +131,12 @@ impl<'a, const N: usize> Team<'a, N> {
         let robots = members.each_ref().map(|member| member.robot());
         let set = robots.iter().fold(0, |set, robot| set | 1 << robot);
         let (agents, macrostep) = (members[0].agents().clone(), members[0].cell_macrostep());
-        let (mut number, disturbed) = (0, self.disturbed.take());
+        let ends = std::array::from_fn::<_, N, _>(|_| link::<K::Order, K::Answer>(*config));
+        #[cfg(feature = "test-hooks")]
+        let ends = disturb(ends, self.disturbed.take());
+        let mut ends = ends.into_iter();
         let links = members.each_mut().map(|member| {
-            let (mut coordinator_end, mut member_end) = link::<K::Order, K::Answer>(*config);
-            match disturbed.filter(|message| message.member == number) {
-                Some(DisturbedMessage { answer: true, step, disturbance, .. }) => member_end.disturb(step, disturbance),
-                Some(DisturbedMessage { step, disturbance, .. }) => coordinator_end.disturb(step, disturbance),
-                None => {}
-            }
-            number += 1;
+            let (coordinator_end, member_end) = ends.next().expect("each member has a link");
             member.follow_team(Some(Box::new(member_end)));
             coordinator_end
         });
@@ -152,6 +164,23 @@ impl<'a, const N: usize> Team<'a, N> {
         })));
         join_all(parts).await
     }
+}
+
+/// The links of a team, with one message disturbed.
+#[cfg(feature = "test-hooks")]
+fn disturb<C: Message, R: Message, const N: usize>(
+    mut links: [(CoordinatorEnd<C, R>, MemberEnd<C, R>); N],
+    message: Option<DisturbedMessage>,
+) -> [(CoordinatorEnd<C, R>, MemberEnd<C, R>); N] {
+    if let Some(DisturbedMessage { member, answer, step, disturbance }) = message
+        && let Some((coordinator_end, member_end)) = links.get_mut(member)
+    {
+        match answer {
+            true => member_end.disturb(step, disturbance),
+            false => coordinator_end.disturb(step, disturbance),
+        }
+    }
+    links
 }
 
 /// A member on its link to the coordinator. The link ends with this value.

@@ -3,7 +3,6 @@
 use std::sync::Arc;
 
 use nalgebra::Isometry3;
-use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::drive_train::check;
@@ -19,7 +18,8 @@ const OFF_AXIS: f64 = 1e-9;
 /// Parameters of one two-finger gripper: one motor, two jaws.
 ///
 /// For the motor position m, rad, the opening is `square`·m² + `linear`·m + `constant`, in m.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct GripperParameters {
     /// Coefficient of m², m/rad².
@@ -77,7 +77,8 @@ impl GripperParameters {
 }
 
 /// Parameters of one conveyor: a belt behind a gear.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct ConveyorParameters {
     /// Motor angle per displacement of the belt, rad/m.

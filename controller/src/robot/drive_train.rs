@@ -2,13 +2,13 @@
 
 use std::f64::consts::{PI, TAU};
 
-use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::{Joints, KinematicsError, Limits, Motors, Space};
 
 /// An axis behind a gear of constant ratio.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct GearAxis {
     /// Motor angle per joint angle (per metre for a linear joint), negative if they turn in opposite directions.
@@ -27,7 +27,8 @@ pub struct GearAxis {
 ///
 /// The length L of the screw follows from the law of cosines: L² = `squared` + `cosine`·cos θ + `sine`·sin θ. The two
 /// coefficients include the angles at which crank and frame are mounted.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct ScrewAxis {
     /// Screw travel per motor turn, m, positive if the screw lengthens as the motor turns forward.

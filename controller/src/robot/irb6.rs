@@ -3,7 +3,6 @@
 use std::sync::Arc;
 
 use nalgebra::{Isometry3, Matrix3};
-use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::{
@@ -18,7 +17,8 @@ use super::{
 const AXES: usize = 5;
 
 /// Parameters of one IRb-6.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Irb6Parameters {
     /// The five axes. The wrist ends at the tool flange, whose z axis is the roll axis.

@@ -3,7 +3,6 @@
 use std::sync::Arc;
 
 use nalgebra::{Isometry3, Matrix3, Vector3};
-use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::room::room;
@@ -20,7 +19,8 @@ const AXES: usize = 6;
 const HAND: usize = 5;
 
 /// Parameters of one IRp-6.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Irp6Parameters {
     /// The five axes of the arm. The wrist ends at the intersection of the hand axis and the roll axis.

@@ -3,7 +3,6 @@
 use std::sync::Arc;
 
 use nalgebra::{Isometry3, Translation3, Vector3};
-use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::room::room;
@@ -36,7 +35,8 @@ const DETOURS: i32 = 24;
 const PLACES: u32 = 64;
 
 /// Parameters of one IRp-6 on its track.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Irp6TrackParameters {
     /// Drive of d0, the carriage. Lengths are in m where `GearAxis` says rad.

@@ -53,7 +53,6 @@ mod tests;
 use std::{fmt, sync::Arc};
 
 use nalgebra::{Isometry3, SMatrix};
-use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use servo::MAX_AXES;
 use thiserror::Error;
@@ -161,7 +160,8 @@ pub trait Robot: fmt::Debug + Send + Sync {
 }
 
 /// A closed range of positions.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Limits {
     /// The lowest position allowed.

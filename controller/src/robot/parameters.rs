@@ -1,6 +1,5 @@
 //! Parameters of the arm that IRb-6 and IRp-6 share, and errors of parameters.
 
-use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
@@ -19,7 +18,8 @@ use super::{
 ///
 /// Parallelograms keep the inclination of the upper arm when the lower arm moves, and the inclination of the wrist
 /// when either arm moves. The roll motor sits before the pitch joint, so that the pitch carries the roll.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct ArmParameters {
     /// Height of the shoulder axis above the base frame, m.

@@ -5,7 +5,6 @@ mod cranks;
 use std::{f64::consts::FRAC_PI_2, sync::Arc};
 
 use nalgebra::{Isometry3, Vector3};
-use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::room::room;
@@ -47,7 +46,8 @@ const GOLDEN: f64 = 0.618_033_988_749_895;
 const REACH_SLACK: f64 = 1e-9;
 
 /// Parameters of one Polycrank.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct PolycrankParameters {
     /// Lengths of the two cranks that turn about axes 1 and 2, m. A crank of negative length points backwards at

@@ -3,7 +3,6 @@
 use std::{f64::consts::TAU, sync::Arc};
 
 use nalgebra::{Isometry3, Rotation3, Vector2, Vector3};
-use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::room::room;
@@ -29,7 +28,8 @@ const SPIN: usize = 5;
 const STRAIGHT: f64 = 1e-6;
 
 /// One leg: a ball screw that the motor drives directly.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct LegAxis {
     /// Leg travel per motor turn, m, positive if the leg lengthens as the motor turns forward.
@@ -43,7 +43,8 @@ pub struct LegAxis {
 }
 
 /// Parameters of one RNT.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct RntParameters {
     /// Radius of the circle of the legs' joints on the base, m.

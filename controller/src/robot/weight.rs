@@ -1,7 +1,6 @@
 //! Gravity compensation: motor torques that balance the weight of links and load.
 
 use nalgebra::{UnitVector3, Vector3};
-use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use servo::MAX_AXES;
 use thiserror::Error;
@@ -18,7 +17,8 @@ const GRAVITY: f64 = 9.81;
 const STEP: f64 = 1e-3;
 
 /// The mass of one link, or of the load on the flange, at its centre.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Mass {
     /// Mass, kg.

@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::{hint, io, iter};
 
-use rayon::{ThreadPool, ThreadPoolBuilder, Yield};
+use rayon_core::{ThreadPool, ThreadPoolBuilder, Yield};
 
 /// Threads that help a thread to advance a [`World`](crate::World).
 ///
@@ -33,7 +33,7 @@ impl Helpers {
             // Thread 0 is the helped thread. This thread executes the closure while it waits for helpers, and must
             // leave the closure at once.
             while thread.index() > 0 && !told.load(Ordering::Relaxed) {
-                if rayon::yield_now() == Some(Yield::Idle) {
+                if rayon_core::yield_now() == Some(Yield::Idle) {
                     (0..Self::PAUSE).for_each(|_| hint::spin_loop());
                 }
             }
@@ -63,7 +63,7 @@ impl Helpers {
         let shares: Vec<_> = shares.into_iter().map(Mutex::new).collect();
         let locked = |thread: usize| shares[thread].lock().unwrap_or_else(PoisonError::into_inner);
         let help = || {
-            let own = rayon::current_thread_index().unwrap_or(0);
+            let own = rayon_core::current_thread_index().unwrap_or(0);
             let of_others = || (0..shares.len()).find_map(|other| locked(other).pop_back());
             let next = || {
                 // The lock is free again before another share is locked.

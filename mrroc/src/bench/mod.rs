@@ -26,7 +26,6 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, bail};
 use can::send_only::send_only;
 use can::{InterfaceName, Port, SocketCanOptions, TraceReader, Tracer};
-use clap::{Args, ValueEnum};
 use drive::axis_controller::error_state_telegram;
 use serial::{Line, LineTraceReader, LineTracer, Settings, Tty, VirtualLine};
 
@@ -41,7 +40,8 @@ use crate::wire::{Listener, Wire};
 const TRACE: usize = 1 << 16;
 
 /// The benches.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "command-line", derive(clap::ValueEnum))]
 pub enum BenchKind {
     /// Emulated drives on a virtual bus, in virtual time.
     Lockstep,
@@ -67,17 +67,18 @@ impl BenchKind {
 }
 
 /// Interfaces and ttys of a bench, where they differ from the cell file.
-#[derive(Args, Debug, Default)]
+#[derive(Debug, Default)]
+#[cfg_attr(feature = "command-line", derive(clap::Args))]
 pub struct Places {
     /// The interface of a bus in place of the cell's: IFACE, or BUS=IFACE once for each of several buses.
-    #[arg(long, value_name = "IFACE")]
+    #[cfg_attr(feature = "command-line", arg(long, value_name = "IFACE"))]
     pub can: Vec<String>,
     /// The directory with one tty per axis, named after the axis, in place of the cell's lines. `mrroc emulate
     /// --serial` makes such a directory.
-    #[arg(long, value_name = "DIR")]
+    #[cfg_attr(feature = "command-line", arg(long, value_name = "DIR"))]
     pub serial: Option<PathBuf>,
     /// Set the cards to the cell's bit rates and bring them up. A card that is up at another rate is taken down first.
-    #[arg(long)]
+    #[cfg_attr(feature = "command-line", arg(long))]
     pub set_bitrate: bool,
 }
 

@@ -1,16 +1,16 @@
 //! The keys of serial lines and of the axis controllers on them.
 
-use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::{Control, FeedForward, Law, Protocol, defaults};
 
 /// A bundle of serial lines that axis controllers of one kind hang on, one on each.
-#[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
+#[derive(Clone, Debug, Deserialize, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Serial {
     /// What axes and reports call it.
-    #[schemars(regex(pattern = r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$"))]
+    #[cfg_attr(feature = "schema", schemars(regex(pattern = r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$")))]
     pub name: String,
     /// What the axis controllers speak.
     #[serde(default)]
@@ -31,7 +31,8 @@ pub struct Serial {
 }
 
 /// An axis controller on a serial line; the host closes its position loop every period.
-#[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
+#[derive(Clone, Debug, Deserialize, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct AxisController {
     /// The tty, `/dev/serial/by-id/…` for one that keeps its name; unused on the benches without hardware.
@@ -62,7 +63,8 @@ pub struct AxisController {
 /// A position loop that the host closes. What it puts out is, of an axis controller, torque, N·m, under `control =
 /// "current"`, and a share of the full pulse width, -1 to 1, under `control = "pwm"`; of a drive on CAN velocity, rad/s,
 /// under `control = "velocity"`, and torque, N·m, under `control = "torque"`.
-#[derive(Clone, Copy, Debug, Deserialize, Serialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Deserialize, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Loop {
     /// From position error to output.

@@ -6,17 +6,17 @@ use controller::robot::Pose;
 use controller::sensor::Pinhole;
 use drive::camera::CameraConfig;
 use nalgebra::{Quaternion, Translation3, UnitQuaternion};
-use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::defaults;
 
 /// A camera that sends grey pictures over TCP. The camera listens, and the controller connects.
-#[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
+#[derive(Clone, Debug, Deserialize, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Camera {
     /// Name of the camera in tasks and reports, unlike that of any bus, bundle of lines, sensor or axis.
-    #[schemars(regex(pattern = r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$"))]
+    #[cfg_attr(feature = "schema", schemars(regex(pattern = r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$")))]
     pub name: String,
     /// The robot in whose base frame the place of the camera and its readings are given.
     pub robot: String,
@@ -47,7 +47,8 @@ pub struct Camera {
 }
 
 /// What stands in for a camera on the benches without hardware.
-#[derive(Clone, Copy, Debug, Deserialize, Serialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Deserialize, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct CameraEmulator {
     /// Whether the camera is absent from its address.

@@ -7,14 +7,14 @@ use canopen::pdo::PdoNumber;
 use canopen::{NodeId, Object, cob};
 use drive::cia402::Identity;
 use drive::wrench::{Content, Trigger, WrenchAxis, WrenchField, WrenchNodeConfig, WrenchPdo};
-use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::{Cell, ForceSensor, Parameter, defaults};
 
 /// A CANopen node that sends the wrench as process data, beside drives or without them. The keys describe the process data
 /// of the node, so that sensors of any vendor fit.
-#[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
+#[derive(Clone, Debug, Deserialize, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct CanForceSensor {
     /// The CAN bus of the sensor.
@@ -43,7 +43,8 @@ pub struct CanForceSensor {
 }
 
 /// A TPDO of a force/torque sensor.
-#[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
+#[derive(Clone, Debug, Deserialize, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct SensorPdo {
     /// Number of the TPDO in the node, 1 to 4.
@@ -58,7 +59,8 @@ pub struct SensorPdo {
 }
 
 /// A field of a TPDO, little endian.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct SensorField {
     /// Index of the object that the field carries.
@@ -75,7 +77,8 @@ pub struct SensorField {
 }
 
 /// Contents of a field. Components of the wrench are signed counts.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum FieldContent {
     /// Force along x.

@@ -3,11 +3,11 @@
 use std::time::Duration;
 
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
-use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// A belt conveyor with a horizontal surface.
-#[derive(Clone, Copy, Debug, Deserialize, Serialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Deserialize, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct EmulatedConveyor {
     /// Centre of the surface, m.
@@ -37,7 +37,8 @@ pub struct EmulatedConveyor {
 
 /// A box that is placed on a conveyor at a given time, at rest. Only the corners of the box touch the surface: the box
 /// tips over the end of the conveyor as soon as its front is beyond the end.
-#[derive(Clone, Copy, Debug, Deserialize, Serialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Deserialize, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct EmulatedObject {
     /// Number of the conveyor, from 0, in the order of the file.
@@ -59,7 +60,8 @@ pub struct EmulatedObject {
 }
 
 /// A light gate. The terminal of its input is high while an object breaks the beam.
-#[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
+#[derive(Clone, Debug, Deserialize, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct EmulatedGate {
     /// Name of the input of an I/O node.

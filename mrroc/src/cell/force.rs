@@ -7,7 +7,6 @@ use controller::robot::{Mass, Pose};
 use drive::axis_controller::{Settings, StopBits};
 use drive::wrench::{Channel, SerialWrenchConfig, WrenchConfig, ZeroMethod};
 use nalgebra::{Matrix3, Quaternion, Translation3, UnitQuaternion};
-use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::{CanForceSensor, Cell, defaults};
@@ -30,11 +29,12 @@ const ROUNDING: f64 = 1e-6;
 /// The sensor on a serial line is an ATI transducer behind the controller board of the IRp-6 laboratory, 8 data bits and
 /// 1 stop bit. The host queries the sensor in each servo period. The line carries a query of 1 byte and an answer of
 /// 14 bytes within the period.
-#[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
+#[derive(Clone, Debug, Deserialize, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct ForceSensor {
     /// Name of the sensor in tasks and reports, unlike that of any bus, bundle of lines or axis.
-    #[schemars(regex(pattern = r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$"))]
+    #[cfg_attr(feature = "schema", schemars(regex(pattern = r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$")))]
     pub name: String,
     /// The robot at whose flange the sensor sits.
     pub robot: String,
@@ -92,7 +92,8 @@ fn lag() -> f64 {
 }
 
 /// What stands in for a force/torque sensor on the benches without hardware.
-#[derive(Clone, Copy, Debug, Default, Deserialize, Serialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Default, Deserialize, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct ForceSensorEmulator {
     /// Whether the sensor is absent from its line or bus.
@@ -111,7 +112,8 @@ pub struct ForceSensorEmulator {
 }
 
 /// First-order temperature course of an emulated sensor from power-on: `end + (start - end) exp(-t / time_constant_s)`.
-#[derive(Clone, Copy, Debug, Deserialize, Serialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Deserialize, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct EmulatedTemperature {
     /// Temperature at power-on, °C. The drift is zero at this temperature.

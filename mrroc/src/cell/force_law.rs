@@ -2,7 +2,6 @@
 
 use controller::law::ForceLimits;
 use controller::robot::Axes;
-use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use servo::LawBound;
 
@@ -12,7 +11,8 @@ use super::{Cell, ForceSensor, defaults};
 /// law. Generators send what the law does; without this table they cannot.
 ///
 /// All lists have one value per axis, base first. The set-points of the law pass the limits of the axes in addition.
-#[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
+#[derive(Clone, Debug, Deserialize, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct ForceLaw {
     /// The force sensor, which sits at the flange of this robot.

@@ -6,7 +6,6 @@ use canopen::NodeId;
 use drive::bus::BESIDE_SETPOINTS;
 use drive::cia401::IoConfig;
 use drive::cia402::Identity;
-use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::{Cell, Parameter, defaults};
@@ -15,11 +14,12 @@ use super::{Cell, Parameter, defaults};
 ///
 /// Levels are logical: an inverted line is true while its terminal is low. An edge reaches the controller within two
 /// servo periods and the inhibit time, on a bus within its budget. A filtered input takes the filter time in addition.
-#[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
+#[derive(Clone, Debug, Deserialize, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct IoNode {
     /// Name of the I/O node in reports.
-    #[schemars(regex(pattern = r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$"))]
+    #[cfg_attr(feature = "schema", schemars(regex(pattern = r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$")))]
     pub name: String,
     /// The CAN bus of the node.
     pub bus: String,
@@ -49,11 +49,12 @@ pub struct IoNode {
 }
 
 /// A digital input.
-#[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
+#[derive(Clone, Debug, Deserialize, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct InputLine {
     /// Name of the line, unlike that of any other line of the cell.
-    #[schemars(regex(pattern = r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$"))]
+    #[cfg_attr(feature = "schema", schemars(regex(pattern = r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$")))]
     pub name: String,
     /// Number of the input within the node, 0 to 63.
     pub line: u8,
@@ -74,11 +75,12 @@ pub struct InputLine {
 }
 
 /// A digital output.
-#[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
+#[derive(Clone, Debug, Deserialize, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct OutputLine {
     /// Name of the line, unlike that of any other line of the cell.
-    #[schemars(regex(pattern = r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$"))]
+    #[cfg_attr(feature = "schema", schemars(regex(pattern = r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$")))]
     pub name: String,
     /// Number of the output within the node, 0 to 63.
     pub line: u8,
@@ -91,7 +93,8 @@ pub struct OutputLine {
 }
 
 /// The error state of an output.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum ErrorState {
     /// The output becomes false. It is false before the first command.

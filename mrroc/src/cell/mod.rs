@@ -23,6 +23,8 @@ mod meetings;
 mod program;
 mod read;
 mod scene;
+#[cfg(feature = "schema")]
+mod schema;
 #[cfg(test)]
 mod tests;
 mod text;
@@ -33,7 +35,6 @@ mod workpiece;
 
 use std::sync::Arc;
 
-use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use controller::generator::Pose;
@@ -70,11 +71,12 @@ pub use ultrasonic::{Ultrasonic, UltrasonicEmulator};
 pub use workpiece::{EmulatedCutter, EmulatedWorkpiece};
 
 /// One controller: all robots that share one servo cycle.
-#[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
+#[derive(Clone, Debug, Deserialize, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Cell {
     /// Name of the cell in reports.
-    #[schemars(regex(pattern = r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$"))]
+    #[cfg_attr(feature = "schema", schemars(regex(pattern = r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$")))]
     pub name: String,
     /// Period of the servo cycle and of SYNC, µs: 1 to 100 whole milliseconds.
     pub period_us: u32,
@@ -131,16 +133,17 @@ pub struct Cell {
     pub robot: Vec<Robot>,
     /// Parameters of the task, with keys of its own. A program reads the table by `Cell::parameters`.
     #[serde(default, skip_serializing_if = "toml::Table::is_empty")]
-    #[schemars(with = "std::collections::BTreeMap<String, serde_json::Value>")]
+    #[cfg_attr(feature = "schema", schemars(with = "std::collections::BTreeMap<String, serde_json::Value>"))]
     pub task: toml::Table,
 }
 
 /// One CAN bus and the host's behaviour on it.
-#[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
+#[derive(Clone, Debug, Deserialize, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Bus {
     /// Name of the bus for axes and reports.
-    #[schemars(regex(pattern = r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$"))]
+    #[cfg_attr(feature = "schema", schemars(regex(pattern = r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$")))]
     pub name: String,
     /// Bit rate, kbit/s.
     #[serde(default = "defaults::count::<1_000, u32>")]
@@ -175,11 +178,12 @@ pub struct Bus {
 }
 
 /// One effector: its kinematics, axes and program.
-#[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
+#[derive(Clone, Debug, Deserialize, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Robot {
     /// Name of the robot in reports.
-    #[schemars(regex(pattern = r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$"))]
+    #[cfg_attr(feature = "schema", schemars(regex(pattern = r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$")))]
     pub name: String,
     /// Model of the robot.
     pub model: Model,
@@ -256,11 +260,12 @@ impl Robot {
 }
 
 /// One axis: a drive, its scale, its limits.
-#[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
+#[derive(Clone, Debug, Deserialize, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Axis {
     /// Name of the axis in reports.
-    #[schemars(regex(pattern = r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$"))]
+    #[cfg_attr(feature = "schema", schemars(regex(pattern = r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$")))]
     pub name: String,
     /// The CAN bus of the drive, or the bundle of serial lines of the axis controller.
     pub bus: String,
@@ -299,7 +304,8 @@ pub struct Axis {
 }
 
 /// A CiA 402 drive on CAN.
-#[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
+#[derive(Clone, Debug, Deserialize, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Drive {
     /// Vendor-ID, object 0x1018:01.
@@ -332,7 +338,8 @@ pub struct Drive {
 }
 
 /// An object written to a drive or an I/O node before operation and read back.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Parameter {
     /// Index.
@@ -347,7 +354,8 @@ pub struct Parameter {
 }
 
 /// The quantity commanded to a drive on CAN at every SYNC.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum DriveControl {
     /// Position (CSP): the drive closes every loop.
@@ -363,7 +371,8 @@ pub enum DriveControl {
 
 // One table for both families. The legs of a `HostHoming` follow from the limits of the motor.
 /// Homing: by the drive on CAN (CiA 402 mode HM), by the host on a serial line.
-#[derive(Clone, Copy, Debug, Deserialize, Serialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Deserialize, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Homing {
     /// Homing method of a drive, object 0x6098. An axis on a serial line has no method: it searches for its home
@@ -386,7 +395,8 @@ pub struct Homing {
 }
 
 /// What stands in for an axis on the benches without hardware.
-#[derive(Clone, Copy, Debug, Default, Deserialize, Serialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Default, Deserialize, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct Emulator {
     /// The plant behind the emulated drive.
@@ -419,7 +429,8 @@ pub struct Emulator {
 }
 
 /// A payload of an emulated robot from a given time on. The payload replaces the previous one.
-#[derive(Clone, Copy, Debug, Deserialize, Serialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Deserialize, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct EmulatedPayload {
     /// Time since the emulated drives were switched on, s.
@@ -437,7 +448,8 @@ pub struct EmulatedPayload {
 ///
 /// The host must close the position loop of every axis, commanded by torque or current. Pulse width is possible if
 /// `feed_forward` gives `weight`. Drives that close the loop hold the weight by themselves.
-#[derive(Clone, Debug, Default, Deserialize, Serialize, JsonSchema)]
+#[derive(Clone, Debug, Default, Deserialize, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct Weights {
     /// The links from base to flange, as written by `mrroc urdf`; the nominal links of the model where absent.
@@ -458,7 +470,8 @@ impl Weights {
 }
 
 /// Physical models of an emulated axis.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum Plant {
     /// Friction, gravity, current limit, switches; masses and friction are nominal.
@@ -469,7 +482,8 @@ pub enum Plant {
 }
 
 /// One instruction of a program.
-#[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
+#[derive(Clone, Debug, Deserialize, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub enum Instruction {
     /// Move through joint poses.
@@ -478,16 +492,12 @@ pub enum Instruction {
     Line(LineInstruction),
     /// Stand until every robot whose program names this meeting has come to it. All of them then continue in the same
     /// servo cycle. A repeated name is another meeting of the same robots.
-    Meet(#[schemars(schema_with = "name_schema")] String),
-}
-
-/// The schema of a name, for fields whose attributes do not reach the schema.
-fn name_schema(_: &mut schemars::SchemaGenerator) -> schemars::Schema {
-    schemars::json_schema!({ "type": "string", "pattern": "^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$" })
+    Meet(#[cfg_attr(feature = "schema", schemars(schema_with = "schema::of_name"))] String),
 }
 
 /// A motion through joint poses.
-#[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
+#[derive(Clone, Debug, Deserialize, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Joints {
     /// The poses, each as many joint values as the robot has axes, rad.
@@ -507,7 +517,8 @@ pub struct Joints {
 }
 
 /// The generators of joint motions.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum JointGenerator {
     /// Time-synchronised trapezoid of velocity, continuous through the poses.
@@ -518,7 +529,8 @@ pub enum JointGenerator {
 }
 
 /// A straight line of the tool from its present position.
-#[derive(Clone, Copy, Debug, Deserialize, Serialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Deserialize, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct LineInstruction {
     /// Target position of the tool, m, in the robot's base frame.
@@ -534,11 +546,6 @@ pub struct LineInstruction {
 }
 
 impl Cell {
-    /// The JSON schema of a cell file.
-    pub fn schema() -> schemars::Schema {
-        schemars::schema_for!(Self)
-    }
-
     /// The text of a cell file. Bytes that are not UTF-8 or more than [`LARGEST`] are refused.
     pub fn text(bytes: &[u8]) -> Result<&str, CellError> {
         if bytes.len() > LARGEST {

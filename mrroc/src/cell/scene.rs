@@ -2,7 +2,6 @@
 
 use hil::scene::GripConfig;
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
-use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::conveyor::{EmulatedConveyor, EmulatedGate, EmulatedObject};
@@ -13,7 +12,8 @@ use super::{EmulatedCutter, EmulatedWorkpiece};
 ///
 /// All places are in the frame of the cell, whose z axis points upward. A robot without `base` has its base at the origin
 /// of this frame.
-#[derive(Clone, Debug, Default, Deserialize, Serialize, JsonSchema)]
+#[derive(Clone, Debug, Default, Deserialize, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct EmulatedScene {
     /// A robot that touches surfaces with the tip of its tool, a sphere at the origin of the tool.
@@ -57,7 +57,8 @@ pub struct EmulatedScene {
 }
 
 /// A sphere at the origin of a tool.
-#[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
+#[derive(Clone, Debug, Deserialize, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct EmulatedTip {
     /// The robot.
@@ -68,7 +69,8 @@ pub struct EmulatedTip {
 }
 
 /// A plane with the solid half-space behind it.
-#[derive(Clone, Copy, Debug, Deserialize, Serialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Deserialize, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct EmulatedPlane {
     /// Direction out of the solid, of any length; upward where absent.
@@ -86,7 +88,8 @@ pub struct EmulatedPlane {
 }
 
 /// A box that stands still, with its edges along the axes of the frame.
-#[derive(Clone, Copy, Debug, Deserialize, Serialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Deserialize, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct EmulatedBlock {
     /// Centre of the box, m.
@@ -104,11 +107,12 @@ pub struct EmulatedBlock {
 }
 
 /// A rigid bar of uniform density and square section. Its x axis is its length.
-#[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
+#[derive(Clone, Debug, Deserialize, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct EmulatedBar {
     /// Name of the bar.
-    #[schemars(regex(pattern = r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$"))]
+    #[cfg_attr(feature = "schema", schemars(regex(pattern = r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$")))]
     pub name: String,
     /// Mass, kg.
     pub mass: f64,
@@ -124,7 +128,8 @@ pub struct EmulatedBar {
 ///
 /// The gripper closes when the output becomes true. It then holds the bar that its jaws reach, in the pose in which the
 /// jaws find the bar. Jaws take no time to close.
-#[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
+#[derive(Clone, Debug, Deserialize, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct EmulatedGripper {
     /// The robot.
@@ -149,7 +154,8 @@ pub struct EmulatedGripper {
 }
 
 /// An upright place: position, and rotation about the vertical axis.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize, Serialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Place {
     /// Position, m.

@@ -1,11 +1,11 @@
 //! The keys of touch probes in the emulated surroundings.
 
-use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// A touch probe: a switch at the tool of the robot of the scene, at a digital input. The force on the tip of the tool
 /// actuates the switch.
-#[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
+#[derive(Clone, Debug, Deserialize, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct EmulatedTouchProbe {
     /// Name of the input of an I/O node, an input without `emulated_edges_s`.

@@ -7,7 +7,6 @@ use controller::sensor::MatrixConfig;
 use drive::axis_controller::{Settings, StopBits};
 use drive::ultrasonic::{ScanKind, UltrasonicConfig};
 use nalgebra::{Quaternion, Translation3, UnitQuaternion};
-use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::{Cell, defaults};
@@ -17,11 +16,12 @@ use super::{Cell, defaults};
 ///
 /// The host asks for one row or one pair of elements after the other. A scan takes the firing slots of all its
 /// emissions, and the time of the telegrams.
-#[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
+#[derive(Clone, Debug, Deserialize, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Ultrasonic {
     /// Name of the matrix in tasks and reports, unlike that of any bus, bundle of lines, force sensor or axis.
-    #[schemars(regex(pattern = r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$"))]
+    #[cfg_attr(feature = "schema", schemars(regex(pattern = r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$")))]
     pub name: String,
     /// The robot in whose base frame the place of the matrix and its readings are given.
     pub robot: String,
@@ -62,7 +62,8 @@ pub struct Ultrasonic {
 }
 
 /// What stands in for an ultrasonic matrix on the benches without hardware.
-#[derive(Clone, Copy, Debug, Default, Deserialize, Serialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Default, Deserialize, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct UltrasonicEmulator {
     /// Whether the matrix is absent from its line.

@@ -1,7 +1,6 @@
 //! The keys of emulated workpieces and of the tools that cut them.
 
 use hil::scene::{Material, WorkpieceConfig};
-use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::Place;
@@ -9,11 +8,12 @@ use super::Place;
 /// A plate at rest that cutting tools carve.
 ///
 /// The workpiece is a height field: each cell of the upper face has one height. Defaults are those of fibreboard.
-#[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
+#[derive(Clone, Debug, Deserialize, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct EmulatedWorkpiece {
     /// Name of the workpiece.
-    #[schemars(regex(pattern = r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$"))]
+    #[cfg_attr(feature = "schema", schemars(regex(pattern = r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$")))]
     pub name: String,
     /// Place of the centre of the upper face.
     pub place: Place,
@@ -40,7 +40,8 @@ pub struct EmulatedWorkpiece {
 }
 
 /// A cutting tool: a cylinder whose flat end is at the origin of the robot's tool, and whose axis is the z axis of the tool.
-#[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
+#[derive(Clone, Debug, Deserialize, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct EmulatedCutter {
     /// The robot.

@@ -297,11 +297,6 @@ fn candump_line(interface: InterfaceName, traced: can::Traced) -> candump::Entry
     candump::Entry { at: traced.at, interface, frame: traced.frame, direction: Some(traced.direction) }
 }
 
-/// Whether the file of `--record` is a recording, and no CSV file.
-pub(crate) fn is_recording(path: &Path) -> bool {
-    path.extension().is_some_and(|extension| extension == "mcap")
-}
-
 /// The files of a recording, with its path: MCAP and, beside it, a candump log.
 pub(crate) fn open<'a>(outputs: &mut Outputs, path: &'a Path) -> anyhow::Result<(&'a Path, File, File)> {
     let mcap = outputs.open("--record", path)?;

@@ -59,6 +59,7 @@ impl Curve {
     }
 
     /// At most 4000 points: time, s, and value.
+    #[cfg(any(test, feature = "pages"))]
     pub(crate) fn points(&self) -> impl Iterator<Item = (f64, f64)> {
         self.buckets.iter().flat_map(|bucket| {
             let [mut first, mut second] = [bucket.least, bucket.greatest];
@@ -98,6 +99,7 @@ impl Path {
         self.since = self.skipped;
     }
 
+    #[cfg(any(test, feature = "pages"))]
     pub(crate) fn points(&self) -> &[[f64; 3]] {
         &self.points
     }

@@ -7,7 +7,9 @@
 mod curves;
 mod fault;
 mod last_cycles;
+#[cfg(feature = "pages")]
 mod page;
+#[cfg(feature = "pages")]
 mod plots;
 mod text;
 mod tool;
@@ -27,6 +29,7 @@ use crate::{budget::BusBudget, cell::CellFile, run::ServoHang, wire::WireReport}
 pub use crate::row_file::IncompleteFile;
 pub use fault::{ErrorPlace, FaultReport};
 pub use last_cycles::{CycleState, LastCycles};
+#[cfg(feature = "pages")]
 pub(crate) use page::page;
 pub(crate) use tool::Tracks;
 pub use tool::{Deviation, RobotReport, Subject};

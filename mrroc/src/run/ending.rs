@@ -12,6 +12,7 @@ use servo::{Servo, SpeedOverride, StopRequest};
 
 use super::crew::Crew;
 use super::watch::{ServoHang, ServoWatch};
+#[cfg(feature = "recording")]
 use crate::recording::FlightRequest;
 
 /// Requests to a run, from a signal handler or another thread.
@@ -22,6 +23,7 @@ pub struct Requests {
     /// Set to keep the servo cycles around this moment (`--spikes`).
     pub spikes: Arc<AtomicBool>,
     /// Set to write the last seconds ([`RunOptions::flight`](super::RunOptions::flight)).
+    #[cfg(feature = "recording")]
     pub flight: FlightRequest,
     /// Speed of all motion by the operator: override, pause and resume. A task can slow further, and cannot lift it.
     pub speed: SpeedOverride,

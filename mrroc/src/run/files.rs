@@ -1,7 +1,5 @@
 //! The files of a run: written in the loop in lockstep, by a thread of their own by the clock.
 
-use std::fs::File;
-use std::io::Write as _;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -14,8 +12,7 @@ use serial::LineTraceReader;
 use servo::Record;
 
 use super::Background;
-use crate::outputs;
-use crate::recording::Recorder;
+use super::recorded::Recorder;
 use crate::row_file::{FileName, IncompleteFile};
 use crate::trace::{AxisLog, FrameLog, StepFile};
 use crate::{cell::CellFile, report::Tracks};
@@ -141,14 +138,6 @@ pub(super) fn named(option: &'static str, path: &Option<PathBuf>, entries: &'sta
 /// The option and the path of a file that cannot be begun.
 pub(super) fn begun(option: &str, path: &Option<PathBuf>) -> String {
     format!("{option}: {}", path.as_deref().unwrap_or(Path::new("")).display())
-}
-
-/// Writes the page of a report. A part of a page is no page, and is removed.
-pub(super) fn write_page(path: &Path, mut file: File, page: &str) -> Option<IncompleteFile> {
-    let error = file.write_all(page.as_bytes()).err()?;
-    let name = FileName::new("--out", path, "page");
-    outputs::remove(path, &file);
-    Some(IncompleteFile { lost: 1, ..name.fails(&error) })
 }
 
 /// The files of a run, written by a thread of its own: a file that takes nothing any more holds up nothing else.

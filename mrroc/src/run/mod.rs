@@ -29,12 +29,18 @@ mod descriptions;
 mod ending;
 #[cfg(test)]
 mod fault_lines;
-#[cfg(test)]
+#[cfg(all(test, feature = "recording"))]
 mod file_tests;
 mod files;
 mod options;
-#[cfg(test)]
+mod page_file;
+#[cfg(all(test, feature = "command-line"))]
 mod panic_tests;
+#[cfg(feature = "recording")]
+mod recorded;
+#[cfg(not(feature = "recording"))]
+#[path = "unrecorded.rs"]
+mod recorded;
 mod running_task;
 #[cfg(test)]
 mod tests;
@@ -66,8 +72,7 @@ use crate::bench::{Bench, BenchKind};
 use crate::cell::{CellFile, printable};
 use crate::guardian::{Guardian, GuardianFault, Pulse};
 use crate::outputs::Outputs;
-use crate::recording::{self, Facts, Flights, Recorder};
-use crate::report::{self, FaultReport, RunEnd, RunOutcome, RunReport, Tracks};
+use crate::report::{FaultReport, RunEnd, RunOutcome, RunReport, Tracks};
 use crate::scenario::{Scenario, ScenarioProbe};
 use crate::tasks::Program;
 use crate::trace::{AxisLog, FrameLog, StepFile, log_names};
@@ -80,6 +85,8 @@ use files::{Logs, Writing, Written, begun, named};
 use descriptions::{of_guardian, of_power, of_servo_hang, of_servo_thread, servo_faults};
 pub use ending::{Requests, Turning, stopped_once};
 pub use options::RunOptions;
+use page_file::PageFile;
+use recorded::Recording;
 pub use running_task::Progress;
 pub(crate) use running_task::RunningTask;
 use running_task::{Rehearsals, TaskErrors};
@@ -98,12 +105,6 @@ const LOCKSTEP_RECORDS: usize = 4;
 /// Records that an axis log may lag behind the servo, per effector.
 const LOGGED_RECORDS: usize = 1 << 13;
 
-/// Entries of the journal that a recording may lag behind the servo: some seconds.
-const JOURNAL: usize = 1 << 14;
-
-/// Orders that a recording may lag behind the servo: some seconds, and the full queues of several robots.
-const ORDERS: usize = 1 << 11;
-
 /// Events that a file of steps may lag behind the controller, per robot.
 const STEPS: usize = 1 << 14;
 
@@ -115,9 +116,6 @@ const NEWS: usize = 64;
 
 /// Longest wait for the times on the wire at the end of a run.
 const LAST_LOOK: Duration = Duration::from_secs(2);
-
-/// The file of `--out`.
-const REPORT: &str = "report.html";
 
 /// Bytes of the stack of a thread that reads queues and writes files; once memory is locked, all of it is.
 pub const SMALL_STACK: usize = 128 * 1024;
@@ -150,16 +148,16 @@ pub fn run(
     outputs.reads(file);
     let trace = outputs.open_if("--trace", options.trace.as_deref())?;
     let _member = requests.crew.join();
-    let recording = options.record.as_deref().filter(|path| recording::is_recording(path));
-    let record = outputs.open_if("--record", options.record.as_deref().filter(|_| recording.is_none()))?;
-    let recording = recording.map(|path| recording::open(&mut outputs, path)).transpose()?;
+    let rows = options.record.as_deref().filter(|_| options.recording().is_none());
+    let record = outputs.open_if("--record", rows)?;
+    let mut recording = Recording::open(&mut outputs, options)?;
     let steps = outputs.open_if("--steps", options.steps.as_deref())?;
     let spikes = outputs.open_if("--spikes", options.spikes.as_deref())?;
     let truth = outputs.open_if("--truth", options.truth.as_deref())?;
     let carved = carving::open(&mut outputs, file, options.carved.as_deref())?;
-    let page = options.out.as_deref().map(|directory| outputs.open_in("--out", directory, REPORT)).transpose()?;
-    let flight = recording::flight_directory(file, options)?;
-    let is_recorded = recording.is_some() || flight.is_some();
+    let page = PageFile::open(&mut outputs, options)?;
+    recording.find_flights(file, options)?;
+    let is_recorded = recording.is_wanted();
     let mut bench = Bench::open(file, options.bench, &options.places, options.trace.is_some() || is_recorded)?;
     let lines = if is_recorded { bench.trace_lines() } else { Vec::new() };
     let cameras = Cameras::open(file, options.bench, bench.emulation.as_mut())?;
@@ -175,26 +173,14 @@ pub fn run(
     outputs.begin()?;
     let lag = match options.bench {
         BenchKind::Lockstep => LOCKSTEP_RECORDS,
-        _ if record.is_some() || recording.is_some() => LOGGED_RECORDS,
+        _ if record.is_some() || recording.is_streamed() => LOGGED_RECORDS,
         _ => RECORDS,
     };
     let axes = record.map(|sink| AxisLog::new(named("--record", &options.record, "rows"), sink, file)).transpose();
     let names = log_names(&bench.interfaces)?;
     let cell = Arc::new(file.clone());
-    let recorder = is_recorded.then(|| -> anyhow::Result<Recorder> {
-        let facts = Facts::of_run(file, options.bench)?;
-        let words = recording::words(&devices, &sensors).into_iter().map(|word| word.taken).collect();
-        let journal = servo.keep_journal(JOURNAL, ORDERS, words);
-        let mut recorder = Recorder::new(&cell, facts, journal, names.clone());
-        if let Some((path, mcap, frames)) = recording {
-            recorder.stream_to(path, mcap, frames).with_context(|| path.display().to_string())?;
-        }
-        if let Some(directory) = flight {
-            recorder.keep_window(Flights::new(file, &directory, requests.flight.clone()));
-        }
-        Ok(recorder)
-    });
-    let recorder = recorder.transpose().context("--record")?;
+    let recorder = recording.begin(&cell, (options, requests), &mut servo, (&devices, &sensors), &names);
+    let recorder = recorder.context("--record")?;
     let frames = trace.map(|sink| FrameLog::new(named("--trace", &options.trace, "frames"), sink, names)).transpose();
     let mut task = RunningTask::new(
         &cell,
@@ -212,7 +198,7 @@ pub fn run(
         lines,
         recorder,
         faulted: Arc::default(),
-        tracks: Tracks::new(file, page.is_some()),
+        tracks: Tracks::new(file, page.is_wanted()),
         axes: axes.with_context(|| begun("--record", &options.record))?,
         steps: steps.with_context(|| begun("--steps", &options.steps))?,
         frames: frames.with_context(|| begun("--trace", &options.trace))?,
@@ -277,15 +263,7 @@ pub fn run(
     let mut report = RunReport::of(file, bench, &mut end, &budget, wall, outcome);
     report.figures = figures.all();
     report.idle_faults = played.idle();
-    if let (Some(file), Some(directory)) = (page, &options.out) {
-        match report::page(&report, &end.tracks, &end.timing).context(REPORT) {
-            Ok(page) => report.incomplete_files.extend(files::write_page(&directory.join(REPORT), file, &page)),
-            Err(error) => {
-                report.faults.push(FaultReport::of_run(error));
-                report.outcome = RunOutcome::Faulted;
-            }
-        }
-    }
+    page.write(&mut report, &end.tracks, &end.timing);
     Ok(report)
 }
 

@@ -6,11 +6,11 @@ use can::{Frame, StandardId};
 use hil::{
     BusId, DeviceFault, DriveId, FrameFault, Frames, HostFault, LineFaults, PlantFault, Stuck, WireFaults, WorldFault,
 };
-use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// The kinds of faults.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Deserialize, Serialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Deserialize, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum FaultKind {
     /// Frames, or the bytes of answers, do not arrive.

@@ -16,7 +16,6 @@ use std::time::Duration;
 use anyhow::{Context, anyhow};
 use can::StandardId;
 use hil::{DriveId, Frames, WorldFault};
-use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::bench::drive_ids::DriveIds;
@@ -26,7 +25,8 @@ pub use kind::{FaultKind, FaultNumbers, FaultPlace};
 pub use run::{ScenarioProbe, ScenarioRun};
 
 /// A scenario file.
-#[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
+#[derive(Clone, Debug, Deserialize, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct ScenarioText {
     /// Seed of all random values.
@@ -39,7 +39,8 @@ pub struct ScenarioText {
 
 /// One fault. Its beginning is `at`, `cycle` or `when`, or `when` from `at` on. A place is an axis, or a bus, with `node`
 /// or `frame` for a part of its frames.
-#[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
+#[derive(Clone, Debug, Deserialize, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct FaultText {
     /// Time of the beginning, s since the emulated devices were switched on.
@@ -64,32 +65,33 @@ pub struct FaultText {
     /// Greatest number of damaged frames or telegrams; without limit where absent.
     pub count: Option<u32>,
     /// Probability that the fault damages a frame or telegram; 1 where absent.
-    #[schemars(extend("default" = FaultNumbers::default().probability))]
+    #[cfg_attr(feature = "schema", schemars(extend("default" = FaultNumbers::default().probability)))]
     pub probability: Option<f64>,
     /// Seed of the fault; the seed of the file plus the number of the fault where absent.
     pub seed: Option<u64>,
     /// Delay of `late`, ms; 5 where absent.
-    #[schemars(extend("default" = FaultNumbers::default().late.as_secs_f64() * 1e3))]
+    #[cfg_attr(feature = "schema", schemars(extend("default" = FaultNumbers::default().late.as_secs_f64() * 1e3)))]
     pub late_ms: Option<f64>,
     /// Increments of `encoder-jump`; 20000 where absent.
-    #[schemars(extend("default" = FaultNumbers::default().increments))]
+    #[cfg_attr(feature = "schema", schemars(extend("default" = FaultNumbers::default().increments)))]
     pub increments: Option<i32>,
     /// Share of the supply voltage of `sagging-supply`, 0 to less than 1; 0.05 where absent.
-    #[schemars(extend("default" = FaultNumbers::default().share))]
+    #[cfg_attr(feature = "schema", schemars(extend("default" = FaultNumbers::default().share)))]
     pub share: Option<f64>,
     /// Distance of `collision`, rad of the motor; 1 where absent.
-    #[schemars(extend("default" = FaultNumbers::default().distance))]
+    #[cfg_attr(feature = "schema", schemars(extend("default" = FaultNumbers::default().distance)))]
     pub distance: Option<f64>,
     /// Stiffness of `collision`, N·m/rad at the motor; 20 where absent.
-    #[schemars(extend("default" = FaultNumbers::default().stiffness))]
+    #[cfg_attr(feature = "schema", schemars(extend("default" = FaultNumbers::default().stiffness)))]
     pub stiffness: Option<f64>,
     /// Error code of `forged-emergency`; 0x3210 where absent.
-    #[schemars(extend("default" = FaultNumbers::default().code))]
+    #[cfg_attr(feature = "schema", schemars(extend("default" = FaultNumbers::default().code)))]
     pub code: Option<u16>,
 }
 
 /// Events of motion, as the emulated plants show them.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum MotionEvent {
     /// All motors have been at rest for 100 ms.
@@ -180,6 +182,7 @@ impl Scenario {
     }
 
     /// The JSON schema of scenario files.
+    #[cfg(feature = "schema")]
     pub fn schema() -> schemars::Schema {
         schemars::schema_for!(ScenarioText)
     }

@@ -190,6 +190,7 @@ fn an_event_with_a_time_selects_the_first_occurrence_from_this_time_on() {
     assert_eq!(states, [false, false, true]);
 }
 
+#[cfg(feature = "schema")]
 #[test]
 fn the_descriptions_of_the_schema_have_the_defaults() {
     let usual = FaultNumbers::default();

@@ -1,13 +1,13 @@
 //! Tasks that the `mrroc` command carries.
 
-use clap::ValueEnum;
 use controller::ecp::Task;
 use controller::executor::join_all;
 
 use super::{Cell, Outcome, Program, Robot, teach};
 
 /// Built-in tasks of `mrroc run`.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "command-line", derive(clap::ValueEnum))]
 pub enum CarriedTask {
     /// The programs of the cell file: all robots enable, home, execute their instructions, and disable.
     #[default]

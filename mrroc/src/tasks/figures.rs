@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 /// Figures by name. Clones share the figures.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Figures(Arc<Mutex<BTreeMap<String, f64>>>);
+pub struct Figures(Arc<Mutex<BTreeMap<String, f64>>>);
 
 impl Figures {
     /// Sets the figure called `name`.

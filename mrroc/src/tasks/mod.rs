@@ -33,7 +33,7 @@ pub use camera::Camera;
 pub use carried::CarriedTask;
 pub use cell::{Cell, Robot};
 pub use error::{Outcome, TaskError};
-pub(crate) use figures::Figures;
+pub use figures::Figures;
 pub use force::ForceSensor;
 pub use gates::{GateDirection, GatePlace, GateTrack};
 pub use lines::{InputLine, OutputLine};
@@ -52,8 +52,9 @@ impl<T: AsyncFn(&mut Cell) -> Outcome + Send + Sync> Carry for T {
     }
 }
 
-/// What a task works on.
-pub(crate) struct Equipment {
+/// The devices of a cell that a task works on.
+pub struct Equipment {
+    /// The subcontrollers of the robots: see [`setup::subcontrollers`](crate::setup::subcontrollers).
     pub subcontrollers: Subcontrollers,
     /// One link per I/O node, in the order of [`Cell::io`](crate::cell::Cell::io).
     pub io: Vec<IoLink>,
@@ -63,7 +64,9 @@ pub(crate) struct Equipment {
     pub matrices: Vec<UltrasonicLink>,
     /// One link per camera, in the order of [`Cell::camera`](crate::cell::Cell::camera).
     pub cameras: Vec<CameraLink>,
+    /// The speed override of the servo.
     pub speed: SpeedOverride,
+    /// The figures that the task reports.
     pub figures: Figures,
 }
 
@@ -88,8 +91,9 @@ impl Program {
         Self { operator: Some(operator), ..self }
     }
 
-    /// The task on the robots of `file`.
-    pub(crate) fn begin(
+    /// The task on the robots of `file`, for a caller with a servo and a clock of its own. [`run`](crate::run::run) is the
+    /// usual caller. `turns` counts the turns of the task, by which another thread detects a task that hangs.
+    pub fn begin(
         &self,
         file: &Arc<CellFile>,
         equipment: Equipment,

@@ -3,7 +3,9 @@
 use std::sync::Arc;
 
 use controller::coordination::{Coordinator, LinkConfig};
-use controller::executor::{self, DisturbedMessage, Members, TeamError};
+#[cfg(feature = "test-hooks")]
+use controller::executor::DisturbedMessage;
+use controller::executor::{self, Members, TeamError};
 use controller::sensor::{Shell, VirtualSensor};
 
 use super::{Outcome, Robot, TaskError};
@@ -21,7 +23,9 @@ impl<'a, const N: usize> Team<'a, N> {
         Self { file: Arc::clone(file), team: executor::Team::new(members, link) }
     }
 
-    /// Disturbs one message of the next motion, for tests of the reaction.
+    /// Disturbs one message of the next motion.
+    #[cfg(feature = "test-hooks")]
+    #[doc(hidden)]
     pub fn disturb(&mut self, message: DisturbedMessage) {
         self.team.disturb(message);
     }

@@ -1,6 +1,5 @@
 //! Configuration of position loops.
 
-use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::refusal::{first_wrong, is_not_negative};
@@ -40,7 +39,8 @@ pub struct HostLoop {
 }
 
 /// A control law.
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum Law {
     /// The law of the IRp-6: two zeros, one pole, one integrator, in encoder counts and periods.
@@ -63,7 +63,8 @@ pub enum Output {
 }
 
 /// Output that the commanded motion needs.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize, Serialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct FeedForward {
     /// Per commanded velocity, output·s/rad: viscous friction, and back-EMF under `control = "pwm"`; 1 under `control =

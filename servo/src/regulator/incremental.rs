@@ -1,6 +1,5 @@
 //! Incremental law of the original IRp-6 controller.
 
-use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::share;
@@ -8,9 +7,10 @@ use crate::config::refusal::{first_wrong, is_not_negative, is_positive};
 
 /// Coefficients of `gain (b0 - b1/z) ((1 + eps) - (1 - eps)/z) / ((1 - 1/z) (1 - a/z))`, which acts on the position
 /// error in counts; they hold for one servo period.
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
-#[schemars(rename = "Incremental")]
+#[cfg_attr(feature = "schema", schemars(rename = "Incremental"))]
 pub struct IncrementalConfig {
     /// Pole, from 0 to below 1.
     pub a: f64,

@@ -1,15 +1,15 @@
 //! Proportional position loop, and the cascade of such a loop over a velocity loop.
 
-use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::share;
 use crate::config::refusal::{first_wrong, is_not_negative, is_positive};
 
 /// Gains of `position_gain (1 + integral_rate / s)`, which acts on the position error in rad.
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
-#[schemars(rename = "Proportional")]
+#[cfg_attr(feature = "schema", schemars(rename = "Proportional"))]
 pub struct ProportionalConfig {
     /// Velocity per position error, 1/s: about the crossover, rad/s. Some fifth of what the drive's velocity loop
     /// passes, and less than 0.1 per delay from sample to effect (two and a half periods on CAN).
@@ -33,9 +33,10 @@ impl ProportionalConfig {
 }
 
 /// Gains of `velocity_gain (1 + integral_rate / s) (position_gain + s)`, which acts on the position error in rad.
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
-#[schemars(rename = "Cascade")]
+#[cfg_attr(feature = "schema", schemars(rename = "Cascade"))]
 pub struct CascadeConfig {
     /// Velocity asked for per position error, 1/s.
     pub position_gain: f64,

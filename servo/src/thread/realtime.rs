@@ -2,13 +2,13 @@
 
 use std::time::Duration;
 
-use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::config::refusal::{KeyError, Range, conflict, no_effect, within};
 
 /// What the servo thread asks of the host.
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct Realtime {
     /// Whether a denied request is reported or refuses the start.
@@ -28,7 +28,7 @@ pub struct Realtime {
     // period for some cycles, within the share.
     /// How long before it needs to run a hybrid wait asks to be woken, µs; none learns it from how late the host is.
     #[serde(rename = "margin_us", with = "microseconds")]
-    #[schemars(with = "Option<u32>")]
+    #[cfg_attr(feature = "schema", schemars(with = "Option<u32>"))]
     pub margin: Option<Duration>,
     /// Largest share of a core that a hybrid wait spins in, 0 to 0.5: of each period with `margin_us`, of any second but for a twentieth without.
     /// 0.2 where absent.
@@ -36,7 +36,8 @@ pub struct Realtime {
 }
 
 /// What happens when the host denies a real-time request.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum Policy {
     /// The run does not start.
@@ -46,7 +47,8 @@ pub enum Policy {
 }
 
 /// What schedules the servo thread.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum Scheduler {
     /// SCHED_FIFO: before all threads of a lower priority, for as long as it wants to run.
@@ -58,7 +60,8 @@ pub enum Scheduler {
 }
 
 /// How the servo thread waits for its deadlines.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum Wait {
     /// It sleeps until the deadline, and is as late as the host wakes it.

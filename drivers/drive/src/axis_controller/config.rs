@@ -2,7 +2,6 @@
 
 use std::time::Duration;
 
-use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serial::{Settings, hi_moxa, nfv2};
 use thiserror::Error;
@@ -15,7 +14,8 @@ use crate::{Milliamperes, Scale};
 const FARTHEST: f64 = (1 << 24) as f64;
 
 /// What serial axis controllers speak.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum Protocol {
     // `serial::nfv2`.
@@ -106,7 +106,8 @@ pub struct AxisConfig {
 // These docs are those of the cell-file reference, where links into this crate lead nowhere. The set-points come from
 // `Setpoint::Torque` and `Setpoint::Duty`.
 /// What an axis controller is commanded by.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum Control {
     /// Motor current; its own loop keeps it. NFv2 only.

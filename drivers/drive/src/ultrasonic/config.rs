@@ -2,7 +2,6 @@
 
 use std::time::Duration;
 
-use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serial::Settings;
 use serial::ultrasonic::{FRAME, MAX_REQUEST, Request, SETTINGS};
@@ -14,7 +13,8 @@ use super::state::{MOST_ECHOES, MOST_SHOTS};
 const SPARE: Duration = Duration::from_millis(20);
 
 /// The echoes of a scan.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum ScanKind {
     /// Each element listens to its own emission. A shot is one row; a matrix has up to 16 rows.

@@ -101,6 +101,7 @@ fn a_name_that_a_path_a_table_or_an_option_would_misread_is_refused() {
     }
 }
 
+#[cfg(feature = "schema")]
 #[test]
 fn the_names_of_the_schema_are_those_that_are_read() {
     let schema = serde_json::to_string(&Cell::schema()).unwrap();

@@ -3,8 +3,11 @@
 use std::cell::Cell as Shared;
 use std::sync::Mutex;
 
-use controller::coordination::{CoordinatorError, Disturbance, LinkError};
+#[cfg(feature = "test-hooks")]
+use controller::coordination::Disturbance;
+use controller::coordination::{CoordinatorError, LinkError};
 use controller::ecp::ReplaceRefused;
+#[cfg(feature = "test-hooks")]
 use controller::executor::DisturbedMessage;
 
 use super::*;
@@ -103,16 +106,14 @@ impl Generator for Follow {
 /// Measured heights of both tools in one cycle, m.
 type Heights = Arc<Mutex<Vec<[f64; 2]>>>;
 
-/// Raises both tools, with one message disturbed, and keeps the measured heights in every cycle.
-async fn rise(cell: &mut Cell, message: Option<DisturbedMessage>, heights: &Heights) -> Outcome {
+/// Raises both tools by a team that was prepared, and keeps the measured heights in every cycle.
+async fn rise(cell: &mut Cell, prepare: impl FnOnce(&mut Team<2>), heights: &Heights) -> Outcome {
     let [mut left, mut right] = bent(cell).await?;
     let eyes = [left.observer(), right.observer()];
     let over = Shared::new(false);
     let motion = async {
         let mut team = cell.team([&mut left, &mut right]);
-        if let Some(message) = message {
-            team.disturb(message);
-        }
+        prepare(&mut team);
         let executed = team.execute(Rise::sound(), [follow(), follow()]).await;
         over.set(true);
         Ok::<_, TaskError>(executed)
@@ -135,15 +136,20 @@ async fn rise(cell: &mut Cell, message: Option<DisturbedMessage>, heights: &Heig
     ended.take().expect("the motion has ended")
 }
 
-/// Runs the motion, and returns its faults and the measured heights in every cycle.
-fn run(message: Option<DisturbedMessage>) -> (Vec<FaultReport>, Vec<[f64; 2]>) {
+/// Runs the motion of a team that was prepared, and returns its faults and the measured heights in every cycle.
+fn run(prepare: impl Fn(&mut Team<2>) + Send + Sync + 'static) -> (Vec<FaultReport>, Vec<[f64; 2]>) {
     let heights = Heights::default();
     let seen = Arc::clone(&heights);
     let report = in_lockstep(async move |cell: &mut Cell| {
-        // The rehearsal would refuse the disturbed motion.
-        let message = message.filter(|_| !cell.rehearsing());
-        let heights = if cell.rehearsing() { Heights::default() } else { Arc::clone(&seen) };
-        rise(cell, message, &heights).await
+        // The rehearsal would refuse a disturbed motion.
+        let rehearsing = cell.rehearsing();
+        let heights = if rehearsing { Heights::default() } else { Arc::clone(&seen) };
+        let prepare = |team: &mut Team<2>| {
+            if !rehearsing {
+                prepare(team)
+            }
+        };
+        rise(cell, prepare, &heights).await
     });
     let heights = heights.lock().unwrap().clone();
     (report.faults, heights)
@@ -151,7 +157,7 @@ fn run(message: Option<DisturbedMessage>) -> (Vec<FaultReport>, Vec<[f64; 2]>) {
 
 #[test]
 fn a_team_moves_as_its_coordinator_orders_and_stands_at_the_end() {
-    let (faults, heights) = run(None);
+    let (faults, heights) = run(|_| {});
     assert_eq!(faults, Vec::new());
     let (first, last) = (heights[0], heights[heights.len() - 1]);
     // The motion ends in motion, and is braked.
@@ -160,13 +166,16 @@ fn a_team_moves_as_its_coordinator_orders_and_stands_at_the_end() {
 }
 
 /// A message that arrives after the deadline of its step, while the arms brake.
+#[cfg(feature = "test-hooks")]
 const LATE: Disturbance = Disturbance::Late(Duration::from_millis(30));
 
+#[cfg(feature = "test-hooks")]
 #[test]
 fn a_message_that_is_lost_late_doubled_or_swapped_stops_both_arms_together() {
     for disturbance in [Disturbance::Lost, LATE, Disturbance::Doubled, Disturbance::Swapped] {
         for answer in [false, true] {
-            let (faults, heights) = run(Some(DisturbedMessage { member: 1, answer, step: 40, disturbance }));
+            let (faults, heights) =
+                run(move |team| team.disturb(DisturbedMessage { member: 1, answer, step: 40, disturbance }));
             let causes: Vec<_> = faults.iter().map(|fault| &fault.what).collect();
             let what = format!("{disturbance:?}, answer {answer}: {causes:?}");
             assert!(!faults.is_empty(), "{what}");

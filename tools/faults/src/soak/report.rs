@@ -4,11 +4,11 @@ use std::fmt;
 use std::sync::atomic::Ordering;
 
 use can::Instant;
+use mrroc::cell::CellFile;
 use serde::Serialize;
 
 use super::stage::Stage;
 use super::{SoakOptions, names};
-use crate::cell::CellFile;
 
 /// Greatest number of failures and notes that a report keeps.
 const MOST: usize = 1000;

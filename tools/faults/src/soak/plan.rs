@@ -2,10 +2,11 @@
 
 use std::time::Duration;
 
-use super::super::catalogue::{CASES, FaultCase, Wire};
-use super::super::origin::Origin;
-use crate::cell::CellFile;
-use crate::scenario::{FaultKind, FaultNumbers};
+use mrroc::cell::CellFile;
+use mrroc::scenario::{FaultKind, FaultNumbers};
+
+use crate::catalogue::{CASES, FaultCase, Wire};
+use crate::origin::Origin;
 
 /// Greatest delay of a fault after the beginning of its minute.
 const DELAY: f64 = 10.0;

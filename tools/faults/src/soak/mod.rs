@@ -23,13 +23,13 @@ use std::time::Duration;
 use anyhow::anyhow;
 use can::Instant;
 use hil::FaultInEffect;
+use mrroc::cell::{Axis, CellFile};
+use mrroc::scenario::axis_place;
 use servo::MAX_AXES;
 
 pub use report::{MOST_GROWTH_KIB, SoakKind, SoakNote, SoakReport};
 
-use super::catalogue::CASES;
-use crate::cell::{Axis, CellFile};
-use crate::scenario::axis_place;
+use crate::catalogue::CASES;
 use plan::{PlannedFault, Random};
 use stage::{Controller, Stage};
 

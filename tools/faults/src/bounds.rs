@@ -2,13 +2,13 @@
 
 use std::time::Duration;
 
+use mrroc::cell::CellFile;
+use mrroc::scenario::FaultKind;
 use servo::MAX_AXES;
 
 use super::catalogue::FaultCase;
 use super::origin::{Origin, contact_delay};
 use super::phase::{FaultPhase, STEPS};
-use crate::cell::CellFile;
-use crate::scenario::FaultKind;
 
 /// Declared time from a fault to its detection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -2,13 +2,13 @@
 
 use std::time::Duration;
 
+use mrroc::cell::CellFile;
 use servo::MAX_AXES;
 
 use super::catalogue::{Expected, FaultCase};
 use super::detector::Detector;
 use super::phase::FaultPhase;
 use super::stage::{Observation, Played, Recovery};
-use crate::cell::CellFile;
 
 /// One row.
 #[derive(Clone, Debug, PartialEq)]

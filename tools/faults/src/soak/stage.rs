@@ -8,14 +8,14 @@ use can::{Instant, Port, TraceReader, Tracer};
 use controller::ecp::StepRecords;
 use controller::executor::{Ended, Executor, Turns};
 use hil::{DeviceFault, DriveId, PlantAxis, WorldFault};
+use mrroc::bench::emulation::{Emulation, HostEnds};
+use mrroc::cell::CellFile;
+use mrroc::tasks::{Cell, Equipment, Figures, Program, TaskError};
+use mrroc::{run, setup};
 use serial::Line;
 use servo::{Latest, MAX_AXES, Record, Servo, ServoFault, lockstep};
 
 use super::work::{Counts, work};
-use crate::bench::emulation::{Emulation, HostEnds};
-use crate::cell::CellFile;
-use crate::setup;
-use crate::tasks::{Cell, Equipment, Figures, Program, TaskError};
 
 /// Capacity of the queues of records, of events of steps and of frames. All are emptied in each cycle.
 const QUEUE: usize = 1 << 12;
@@ -124,7 +124,7 @@ impl Stage {
             reached = next;
         });
         self.now = reached;
-        up.map_err(|why| crate::run::why_not_up(file, why)).context("bring-up")?;
+        up.map_err(|why| run::why_not_up(file, why)).context("bring-up")?;
         let counts = self.counts.clone();
         let program = Program::of(async move |cell: &mut Cell| work(cell, &counts).await);
         let mut executor = program.begin(&self.file, equipment, false, Turns::default());

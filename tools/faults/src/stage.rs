@@ -5,6 +5,10 @@ use std::time::Duration;
 use anyhow::{Context, anyhow, bail};
 use can::Instant;
 use hil::{DriveId, FaultInEffect, PlantAxis, PlantFault, WorldFault};
+use mrroc::bench::emulation::Emulation;
+use mrroc::cell::CellFile;
+use mrroc::scenario::axis_place;
+use mrroc::{run, setup};
 use serial::Line;
 use servo::{EffectorLink, MAX_AXES, Order, Phase, Servo, ServoFault, ServoState, StopCategory, StopCause, lockstep};
 
@@ -12,10 +16,6 @@ use super::catalogue::FaultCase;
 use super::detector::{Detector, Without};
 use super::origin::{CONTACT, Flaw, Missed, Origin};
 use super::phase::{CRUISE, FaultPhase, FixedMotion, RAMP};
-use crate::bench::emulation::Emulation;
-use crate::cell::CellFile;
-use crate::scenario::axis_place;
-use crate::setup;
 
 /// Longest preparation: enabling and referencing.
 const PREPARATION: Duration = Duration::from_secs(20);
@@ -141,7 +141,7 @@ impl<'a> Stage<'a> {
         let groups = groups.into_iter().map(|group| Without::wrap(group, without)).collect();
         let (mut servo, links) = Servo::new(&config, groups)?;
         let up = lockstep::bring_up(&mut servo, Instant::ZERO, |next| emulation.advance(next));
-        let now = up.map_err(|why| crate::run::why_not_up(file, why)).context("bring-up")?;
+        let now = up.map_err(|why| run::why_not_up(file, why)).context("bring-up")?;
         let ids = emulation.ids().clone();
         let robots = file.cell.robot.iter().enumerate();
         let drives = robots.map(|(robot, given)| {

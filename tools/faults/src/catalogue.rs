@@ -2,11 +2,12 @@
 
 use std::time::Duration;
 
+use mrroc::scenario::{FaultKind, FaultNumbers};
+
 use super::bounds::Within;
 use super::detector::Detector;
 use super::origin::{Flaw, Missed, Origin};
 use super::phase::FaultPhase;
-use crate::scenario::{FaultKind, FaultNumbers};
 
 /// Wire of a robot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -3,8 +3,8 @@
 
 use std::time::Duration;
 
-use crate::cell::{Bus, CellFile, InputLine, IoNode};
-use crate::scenario::FaultKind;
+use mrroc::cell::{Bus, CellFile, InputLine, IoNode};
+use mrroc::scenario::FaultKind;
 
 /// Origin of a fault.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -3,10 +3,10 @@
 use std::time::Duration;
 
 use controller::robot::Arm;
+use mrroc::cell::CellFile;
 use servo::{MAX_AXES, Macrostep};
 
 use super::origin::Flaw;
-use crate::cell::CellFile;
 
 /// Phases of a robot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, clap::ValueEnum)]

@@ -1,4 +1,4 @@
-//! The fault table of a cell: the effect of each fault on each robot in each phase, in lockstep.
+//! The fault table of a cell, the effect of each fault on each robot in each phase, in lockstep; and the [`soak`].
 //!
 //! A row is one run of one robot: bring-up, enabling, reference, a fixed motion, and a fault that strikes one axis. A
 //! brake that does not hold is a fault of all axes. Missed deadlines and an emergency stop are faults of the whole cell. The
@@ -24,12 +24,12 @@ use std::path::PathBuf;
 
 use anyhow::bail;
 use clap::Args;
+use mrroc::cell::{CellFile, Plant};
 
 pub use detector::Detector;
 pub use phase::FaultPhase;
 pub use row::Row;
 
-use crate::cell::{CellFile, Plant};
 use catalogue::{CASES, FaultCase, Wire};
 use origin::Origin;
 

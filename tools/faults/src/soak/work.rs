@@ -4,13 +4,13 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 use controller::executor::join_all;
-use controller::generator::Newsmooth;
+use controller::generator::{Newsmooth, SmoothPose};
 use controller::robot::Space;
+use mrroc::cell::CellFile;
+use mrroc::tasks::{Cell, Outcome, Robot};
 use servo::MAX_AXES;
 
-use super::super::phase::{CRUISE, FixedMotion, RAMP};
-use crate::cell::{CellFile, smooth_pose};
-use crate::tasks::{Cell, Outcome, Robot};
+use crate::phase::{CRUISE, FixedMotion, RAMP};
 
 /// Share of the limits of velocity and acceleration that the motions use.
 const SHARE: f64 = 0.4;
@@ -85,7 +85,8 @@ async fn round(cell: &Cell, robot: &mut Robot, poses: &[Vec<f64>; 2], ready: boo
     }
     for pose in [&poses[1], &poses[0]] {
         let motions = robot.motions();
-        let target = vec![smooth_pose(pose, SHARE, SHARE)];
+        let position = std::array::from_fn(|axis| pose.get(axis).copied().unwrap_or_default());
+        let target = vec![SmoothPose { position, velocity: [SHARE; MAX_AXES], acceleration: [SHARE; MAX_AXES] }];
         robot.execute(Newsmooth::new(Space::Joint, pose.len(), motions.limits(), target)?).await?;
         cell.sleep(REST).await;
         counts.rests.fetch_add(1, Ordering::Relaxed);
