@@ -6,7 +6,7 @@ use std::process::{Child, Command, Stdio};
 use can::card;
 use kit::bench::{Body, bodies_on_vcan};
 use kit::doctor::{examined, finding};
-use kit::mrroc::{self, Directory, Output, mrroc};
+use kit::mrroc::{Directory, Output, mrroc};
 use serde_json::Value;
 
 use crate::card::a_card_that_was_up_comes_up_again_if_its_bit_rate_cannot_be_set;
