@@ -20,18 +20,9 @@ use ::mrroc::run::{Requests, RunOptions};
 use ::mrroc::tasks::CarriedTask;
 use can::{ControllerState, Counters, Frame, Instant, Port, PortError, Received, StandardId, VirtualPort};
 use criterion::{Criterion, SamplingMode, Throughput, criterion_group, criterion_main};
+use kit::cell::{Rig, Setup};
+use kit::motion::Motion;
 use servo::Phase;
-
-#[path = "../system/allocations.rs"]
-mod allocations;
-#[allow(dead_code, reason = "the tests use the rest")]
-#[path = "../system/cell.rs"]
-mod cell;
-#[path = "../system/motion.rs"]
-mod motion;
-
-use cell::{Rig, Setup};
-use motion::Motion;
 
 /// Number of cycles in one iteration of the lockstep benchmark: one second.
 const SECOND: u64 = 500;

@@ -25,15 +25,10 @@ use canopen::NodeId;
 use canopen::objects::DEVICE_TYPE;
 use canopen::sync::Sync;
 use hil::{AxisConfig, Epos4, Epos4Config, Irp6Axis, World, pty};
+use kit::adapter::Adapter;
 use master::sdo::Client;
 use serde_json::json;
 use serial::{Settings, SlcanPort, Tty};
-
-#[allow(dead_code, reason = "the tests use the rest")]
-#[path = "../system/adapter.rs"]
-mod adapter;
-
-use adapter::Adapter;
 
 const NODE: NodeId = NodeId::new(1).unwrap();
 

@@ -11,10 +11,7 @@ use std::process::ExitCode;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Instant;
 
-#[path = "../system/start_stop.rs"]
-mod start_stop;
-
-use start_stop::{Place, Tally, resources};
+use kit::start_stop::{Place, Tally, resources};
 
 /// Arguments of the program.
 struct Arguments {

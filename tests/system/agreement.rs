@@ -4,8 +4,8 @@
 use std::fs;
 use std::path::Path;
 
-use crate::cli_refusals::refused;
-use crate::mrroc::{Directory, Output, mrroc, shorten, text};
+use kit::mrroc::{Directory, Output, mrroc, shorten, text};
+use kit::refusals::refused;
 
 fn check(cell: &Path) -> Output {
     mrroc(["check".as_ref(), cell.as_os_str()])

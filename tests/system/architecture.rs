@@ -152,6 +152,44 @@ fn every_function_of_the_clock_module_is_refused_outside_the_rim() {
     }
 }
 
+/// Words of tests by the clock. Clippy also refuses clock reads and waits in `tests/system`.
+const BY_THE_CLOCK: [&str; 13] = [
+    "clippy::disallowed_methods",
+    "processors(",
+    "turn()",
+    "on_vcan",
+    "on_cards",
+    "on_stage",
+    "left_out(",
+    "under_strace",
+    "BenchKind::Emulated",
+    "BenchKind::Vcan",
+    "BenchKind::Card",
+    "--bench=emulated",
+    "\"--bench\", \"emulated\"",
+];
+
+/// Words of tests by the clock in a file.
+fn by_the_clock(text: &str) -> Vec<&'static str> {
+    BY_THE_CLOCK.into_iter().filter(|word| text.contains(word)).collect()
+}
+
+/// Tests by the clock stand in `tests/clock`.
+#[test]
+fn system_tests_run_in_virtual_time() {
+    for path in sources("tests/system") {
+        let found = by_the_clock(&fs::read_to_string(&path).unwrap());
+        let this = path.ends_with("architecture.rs");
+        assert!(this || found.is_empty(), "{}: {found:?} is for tests/clock", path.display());
+    }
+}
+
+#[test]
+fn a_test_by_the_clock_is_found() {
+    assert_eq!(by_the_clock("mrroc([\"run\", cell, \"--bench=emulated\"])"), ["--bench=emulated"]);
+    assert_eq!(by_the_clock("mrroc([\"run\", cell, \"--bench=lockstep\"])"), [""; 0]);
+}
+
 /// Every room that `room` imports, directly or by way of other rooms.
 fn reach(room: &str) -> BTreeSet<&'static str> {
     let row = |name: &str| {

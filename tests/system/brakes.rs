@@ -10,8 +10,7 @@ use ::mrroc::run::{Requests, RunOptions, run};
 use ::mrroc::tasks::{Cell, Outcome, Program};
 use controller::generator::{MotionLimits, Newsmooth, SmoothPose};
 use controller::robot::Space;
-
-use crate::mrroc::{Directory, example};
+use kit::mrroc::{Directory, example};
 
 fn play(
     file: &CellFile,

@@ -5,12 +5,12 @@ use std::time::Duration;
 use ::mrroc::cell::DriveControl;
 use hil::plant::Irp6Axis;
 use hil::{LineFaults, Stuck, WireFaults};
+use kit::cell::{Rig, Setup};
+use kit::motion::Motion;
+use kit::mrroc::SERIAL_CELLS;
 use servo::{Order, Phase};
 
-use crate::cell::{Rig, Setup};
 use crate::host_closed::closed_by_host;
-use crate::motion::Motion;
-use crate::mrroc::SERIAL_CELLS;
 
 /// Greatest motion of a motor while its loop takes up the load, rad.
 const LOAD: f64 = 0.15;

@@ -3,9 +3,8 @@
 use std::fs;
 
 use ::mrroc::cell::{Bus, Cell, Robot};
+use kit::mrroc::{CELLS, Directory, Output, example, mrroc, root, text};
 use serde_json::{Value, json};
-
-use crate::mrroc::{CELLS, Directory, Output, example, mrroc, root, text};
 
 #[test]
 fn check_accepts_the_example_cells_and_says_what_their_buses_carry() {

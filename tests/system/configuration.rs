@@ -7,9 +7,10 @@ use can::candump;
 use canopen::NodeId;
 use canopen::eds::Eds;
 use hil::{CanForceSensor, CanForceSensorConfig, DigitalIo, DigitalIoConfig, TransducerConfig};
+use kit::mrroc::{Directory, enables, example, mrroc, root, shorten, trace};
+use kit::refusals::refused;
 
-use crate::cli_refusals::{refused, run_in_lockstep};
-use crate::mrroc::{Directory, enables, example, mrroc, root, shorten, trace};
+use crate::cli_refusals::run_in_lockstep;
 
 fn sheet() -> String {
     let sheet = fs::read_to_string(root().join("cells/epos4-emulated.eds"));

@@ -5,9 +5,8 @@ use ::mrroc::cell::CellFile;
 use ::mrroc::prelude::{Cell, Outcome, RunOutcome, TaskError};
 use controller::generator::{Contour, FeedLimits};
 use controller::path::{BSpline, Curve, Path, SplineEnds};
+use kit::mrroc::example;
 use nalgebra::Vector3;
-
-use crate::mrroc::example;
 
 /// Joints in the middle of the IRp-6's workspace, the wrist bent, rad.
 const START: [f64; 6] = [0.2, -1.57, 0.1, 0.2, 1.2, 0.3];

@@ -3,10 +3,10 @@
 
 use can::Frame;
 use can::candump::Direction;
+use kit::cell::{Setup, traced};
+use kit::motion::Motion;
 use servo::{Macrostep, Order, Phase};
 
-use crate::cell::{Setup, traced};
-use crate::motion::Motion;
 use crate::watch::Watcher;
 
 #[test]

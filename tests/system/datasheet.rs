@@ -1,9 +1,8 @@
 //! `mrroc datasheet`: the pages and figures of `docs/robots` equal its output.
 
 use ::mrroc::cell::Model;
-
-use crate::cli_refusals::refused;
-use crate::mrroc::{mrroc, root};
+use kit::mrroc::{mrroc, root};
+use kit::refusals::refused;
 
 #[test]
 fn the_pages_and_figures_of_the_robots_are_what_the_parameters_give() {

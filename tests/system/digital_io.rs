@@ -1,14 +1,10 @@
 //! A CiA 401 module on the bus of a drive: this project's owner of the bus against the emulated module, alone and in an
 //! example cell.
 
-use std::sync::Arc;
 use std::task::Poll;
 use std::time::Duration;
 
-use ::mrroc::bench::clockwork;
-use ::mrroc::bench::emulation::Emulation;
 use ::mrroc::cell::{Bus, Cell, CellFile, DriveControl};
-use ::mrroc::setup::{self, Devices};
 use can::Instant;
 use can::timing::Bitrate;
 use canopen::NodeId;
@@ -18,12 +14,12 @@ use drive::cia402::Identity;
 use drive::{AxisCommand, AxisState, DriveGroup};
 use hil::plant::Irp6Axis;
 use hil::{AxisConfig, DeviceId, DigitalIo, DigitalIoConfig, Epos4, Epos4Config, World};
-use servo::{Servo, lockstep};
+use kit::mrroc::{Directory, mrroc, text};
+use kit::refusals::refused;
+use kit::touch_cell::TouchCell;
+use servo::lockstep;
 
-use crate::bench::turn;
-use crate::cli_refusals::refused;
 use crate::host_closed::closed_by_host;
-use crate::mrroc::{Directory, mrroc, text};
 
 /// Node-ID of the module.
 const NODE: u8 = 40;
@@ -280,30 +276,6 @@ fn io_nodes_on_a_bus_of_their_own_work_as_those_beside_drives() {
     assert_eq!(touch.probe.inputs.read().input(0).map(|input| (input.level, input.edges)), Some((true, 1)));
 }
 
-/// The example cell with the given edges of its touch probe, and the parts of a run before bring-up.
-struct TouchCell {
-    file: CellFile,
-    emulation: Emulation,
-    servo: Servo,
-    _links: Vec<servo::EffectorLink>,
-    probe: IoLink,
-}
-
-impl TouchCell {
-    fn with_edges(edges: &[f64]) -> Self {
-        let directory = Directory::new();
-        let path = directory.cell("irb6-touch", |cell| cell.io[0].input[0].emulated_edges_s = edges.to_vec());
-        Self::of(CellFile::read(path).unwrap())
-    }
-
-    fn of(file: CellFile) -> Self {
-        let (emulation, ends) = Emulation::of(&file);
-        let Devices { groups, io, .. } = setup::devices(&file, ends.ports, Vec::new(), Vec::new(), None).unwrap();
-        let (servo, links) = Servo::new(&setup::servo_config(&file), groups).unwrap();
-        Self { file, emulation, servo, _links: links, probe: io[0].clone() }
-    }
-}
-
 #[test]
 fn scheduled_edges_of_a_cell_are_seen_within_two_periods_and_the_inhibit_time() {
     let edges = [0.0, 4.0001, 4.0149, 4.5007, 5.0, 5.0063];
@@ -334,23 +306,4 @@ fn scheduled_edges_of_a_cell_are_seen_within_two_periods_and_the_inhibit_time() 
     assert_eq!(probe.inputs.read().fault, None);
     drop(servo);
     assert_eq!(probe.inputs.read().fault, Some(IoFault::Ended { node: 40 }));
-}
-
-#[test]
-fn scheduled_edges_are_seen_on_the_emulated_bench_by_the_clock() {
-    const LONGEST: u64 = 10_000;
-    let _turn = turn();
-    let TouchCell { file, emulation, mut servo, _links, probe } = TouchCell::with_edges(&[0.0, 4.0, 4.1]);
-    let mut emulation = Some(emulation);
-    let since = clockwork::bring_up(&mut servo, &mut emulation).unwrap();
-    let reader = probe.clone();
-    let until = move |servo: &Servo| {
-        let input = reader.inputs.read().input(0);
-        input.is_none_or(|input| input.edges == 2) || servo.counters().cycles > LONGEST
-    };
-    let running = clockwork::start(servo, emulation, since, file.cell.realtime, Arc::default(), || {}, until);
-    let finished = running.unwrap().join();
-    let image = probe.inputs.read();
-    assert_eq!((image.fault, finished.panicked), (None, None));
-    assert_eq!(image.input(0).map(|input| (input.level, input.edges)), Some((false, 2)));
 }

@@ -14,9 +14,9 @@ use drive::bus::CanBus;
 use drive::{AxisCommand, AxisState, DriveGroup, Finite, Power, Setpoint};
 use hil::plant::Irp6Axis;
 use hil::{AxisConfig, DeviceId, Epos4, Epos4Config, World};
+use kit::mrroc::{root, text};
 
 use crate::host_closed::closed_by_host;
-use crate::mrroc::{root, text};
 
 /// Motor velocity, rad/s.
 const VELOCITY: f64 = 50.0;

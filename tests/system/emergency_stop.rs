@@ -4,8 +4,7 @@ use ::mrroc::bench::BenchKind;
 use ::mrroc::cell::{CellFile, EmergencyContact, InputLine};
 use ::mrroc::prelude::*;
 use ::mrroc::report::RunReport;
-
-use crate::mrroc::Directory;
+use kit::mrroc::Directory;
 
 const ASIDE: [[f64; 5]; 2] = [[0.6, -1.571, 0.0, 0.0, 0.0], [-0.6, -1.571, 0.0, 0.0, 0.0]];
 

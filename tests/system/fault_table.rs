@@ -9,8 +9,7 @@ use ::mrroc::cell::CellFile;
 use ::mrroc::report::{RunOutcome, RunReport};
 use ::mrroc::run::{Requests, RunOptions, run};
 use ::mrroc::tasks::CarriedTask;
-
-use crate::mrroc::{Directory, example, mrroc, root};
+use kit::mrroc::{Directory, example, mrroc, root};
 
 fn table(options: &FaultOptions) -> FaultTable {
     let lab = CellFile::read(example("lab")).unwrap();

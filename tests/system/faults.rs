@@ -12,10 +12,10 @@ use canopen::cia402::ModeOfOperation;
 use canopen::emcy::Emergency;
 use drive::Fault;
 use hil::{Device, PlantConfig, PlantFault, WorldFault};
+use kit::cell::{Rig, Setup, traced};
+use kit::motion::Motion;
 use servo::{MAX_AXES, Macrostep, Order, Phase, StopCause};
 
-use crate::cell::{Rig, Setup, traced};
-use crate::motion::Motion;
 use crate::watch::Watcher;
 
 /// Longest motion after a fault is latched, rad: braking from full speed at the IRb-6's 1500 rad/s², plus the following

@@ -2,9 +2,8 @@
 
 use ::mrroc::cell::{Cell, EmulatedPayload, Weights};
 use controller::robot::Mass;
+use kit::mrroc::{Directory, mrroc};
 use serde_json::Value;
-
-use crate::mrroc::{Directory, mrroc};
 
 /// Payload at the flange, known to the controller and to the emulator.
 const LOAD: (f64, [f64; 3]) = (4.0, [0.0, 0.0, 0.1]);

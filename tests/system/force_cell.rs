@@ -7,8 +7,7 @@ use ::mrroc::cell::{Cell, CellFile, EmulatedTemperature};
 use ::mrroc::prelude::{Outcome, RunOutcome};
 use ::mrroc::report::RunReport;
 use ::mrroc::tasks;
-
-use crate::mrroc::{Directory, example};
+use kit::mrroc::{Directory, example};
 
 #[path = "../../examples/push_until.rs"]
 #[expect(dead_code, reason = "the program of the example has a main of its own")]

@@ -10,8 +10,7 @@ use ::mrroc::prelude::{ForceTask, Generator, Guard, JerkLimited, Outcome, RunOut
 use ::mrroc::report::RunReport;
 use ::mrroc::tasks;
 use controller::force::Wrench;
-
-use crate::mrroc::Directory;
+use kit::mrroc::Directory;
 
 /// Contact force that ends a guarded motion, N.
 const TOUCH: f64 = 6.0;

@@ -10,8 +10,7 @@ use ::mrroc::tasks;
 use controller::robot::Joints;
 use hil::AxisConfig;
 use hil::plant::{Irp6Axis, Mechanism, MechanismConfig, PlantAxis};
-
-use crate::mrroc::{Directory, example, text};
+use kit::mrroc::{Directory, example, text};
 
 #[path = "../../examples/force_table.rs"]
 #[expect(dead_code, reason = "the program of the example has a main of its own")]

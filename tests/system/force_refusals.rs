@@ -14,10 +14,10 @@ use can::Instant;
 use drive::DriveGroup;
 use drive::wrench::{SerialWrenchConfig, SerialWrenchSensor};
 use hil::{CanForceSensor, LineDevice, SerialForceSensor, SerialForceSensorConfig, TransducerConfig, World};
+use kit::mrroc::{Directory, example};
 use servo::NotUp;
 
 use crate::force_sensors::{Load, SYNC, on_bus, sensor};
-use crate::mrroc::{Directory, example};
 
 const PERIOD: Duration = Duration::from_millis(2);
 

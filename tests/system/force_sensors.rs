@@ -22,10 +22,10 @@ use hil::{
     AxisConfig, CanForceSensor, CanForceSensorConfig, DeviceId, Epos4, Epos4Config, LineFaults, LineId,
     SerialForceSensor, SerialForceSensorConfig, Stuck, TransducerConfig, WireFaults, World, WrenchProbe,
 };
+use kit::mrroc::text;
 use serial::VirtualLine;
 
 use crate::host_closed::closed_by_host;
-use crate::mrroc::text;
 
 const PERIOD: Duration = Duration::from_millis(2);
 
@@ -34,10 +34,12 @@ const NODE: u8 = 40;
 
 /// Counts of the emulated sensors: on the line, and 16 bits on the bus, N and N·m.
 const ON_LINE: [f64; 2] = [10.0 / 115.0, 5.0 / 940.0];
+
 const ON_BUS: [f64; 2] = [0.02, 0.001];
 
 /// Change of the load with time, N/s and N·m/s. In a period, the load changes by more than two counts of each sensor.
 const RAMP: [f64; 2] = [100.0, 8.0];
+
 const RAMP_TIME: Duration = Duration::from_millis(250);
 
 /// Longest time of SYNC on the bus. The emulated sensor samples at the end of SYNC.

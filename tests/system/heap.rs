@@ -1,20 +1,16 @@
 //! No servo cycle uses the heap. [`Rig::servo_cycle`] asserts it in every cycle of every test that steps a robot. The
 //! tests here cause the situations that no other test causes. The coverage of this proof is described in
-//! `cycle_calls.rs`.
-
-use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
+//! `clock/cycle_calls.rs`.
 
 use can::{ControllerState, Tracer};
 use drive::Fault;
 use drive::axis_controller::AxisControllerFault;
 use hil::{LineFaults, Stuck, WireFaults};
-use servo::thread::{CellTime, Realtime, Wait};
-use servo::{MAX_AXES, Macrostep, Order, Phase, StopCause, thread};
+use kit::allocations::count;
+use kit::cell::{Rig, Setup};
+use kit::motion::Motion;
+use servo::{MAX_AXES, Macrostep, Order, Phase, StopCause};
 
-use crate::allocations::count;
-use crate::cell::{Rig, Setup};
-use crate::motion::Motion;
 use crate::watch::Watcher;
 
 /// Name, cell, event during the motion, and check of the cause that the servo reports; `None` if the arm brakes without
@@ -96,38 +92,6 @@ fn nothing_that_ends_a_motion_uses_the_heap() {
         rig.until(Motion::LONGEST, what, |rig| matches!(rig.phase(), Phase::Faulted | Phase::Off));
         let cause = rig.servo.fault(0).map(|fault| fault.cause);
         assert!(expected(cause), "{cell}: {what}: {cause:?}");
-    }
-}
-
-#[test]
-fn a_servo_thread_does_not_use_the_heap_however_it_waits() {
-    const CYCLES: u64 = 500;
-    for (cell, wait) in [("irb6", Wait::Hybrid), ("irb6", Wait::Plain), ("irb6-serial", Wait::Hybrid)] {
-        let mut rig = Setup::of(cell).bring_up();
-        rig.home();
-        let Rig { servo, mut world, now, link, .. } = rig;
-        let realtime = Realtime {
-            wait,
-            // Of all the other tests too.
-            lock_memory: false,
-            ..Realtime::PLAIN
-        };
-        let used = Arc::new(AtomicU64::new(0));
-        let uses = used.clone();
-        // Heap use is counted everywhere except in the world that advances after a cycle.
-        let mut counted = None;
-        let between = move |next| {
-            uses.fetch_add(count() - counted.unwrap_or(count()), Ordering::Relaxed);
-            world.advance(next);
-            counted = Some(count());
-        };
-        let first = servo.counters().cycles;
-        let until = move |servo: &servo::Servo| servo.counters().cycles >= first + CYCLES;
-        let finished = thread::run(servo, realtime, CellTime::Nominal(now), between, until).unwrap();
-        drop(link);
-        assert_eq!(finished.panicked, None);
-        assert!(finished.servo.is_off(), "{cell}: {finished:?}");
-        assert_eq!(used.load(Ordering::Relaxed), 0, "{cell}, {wait:?}");
     }
 }
 

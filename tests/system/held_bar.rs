@@ -12,16 +12,14 @@ use ::mrroc::run::{Requests, RunOptions};
 use ::mrroc::tasks::{self, Program};
 use controller::coordination::Disturbance;
 use controller::executor::DisturbedMessage;
+use hold_bar::{Arms, COURSE, LIMITS};
+use kit::mrroc::Directory;
+use kit::steps::lines;
 use nalgebra::Vector3;
-
-use crate::mrroc::Directory;
-use crate::steps::lines;
 
 #[path = "../../examples/hold_bar.rs"]
 #[expect(dead_code, reason = "the program of the example has a main of its own")]
 mod hold_bar;
-
-use hold_bar::{Arms, COURSE, LIMITS};
 
 /// The bar and its grips at one time.
 #[derive(Clone, Copy, Debug)]

@@ -4,8 +4,7 @@ use std::f64::consts::TAU;
 
 use hil::AxisConfig;
 use hil::plant::Switch;
-
-use crate::cell::Setup;
+use kit::cell::Setup;
 
 /// Upper edge of the home switch, rad below the home position.
 const EDGE: f64 = 2.0;

@@ -6,10 +6,9 @@ use ::mrroc::cell::{Axis, CascadeConfig, DriveControl, FeedForward, Law, Loop, P
 use drive::{AxisCommand, AxisState, Finite, Power, Setpoint};
 use hil::AxisConfig;
 use hil::plant::{Irp6Axis, PlantConfig};
+use kit::cell::{Setup, ends};
+use kit::motion::Motion;
 use servo::{Order, Phase, StopCause};
-
-use crate::cell::{Setup, ends};
-use crate::motion::Motion;
 
 const BY_HOST: [DriveControl; 2] = [DriveControl::Velocity, DriveControl::Torque];
 

@@ -4,8 +4,8 @@ use std::fs::{self, File};
 use std::path::Path;
 use std::process::Command;
 
-use crate::cli_refusals::refused;
-use crate::mrroc::{Directory, binary, example, mrroc, text};
+use kit::mrroc::{Directory, binary, example, mrroc, text};
+use kit::refusals::refused;
 
 /// Creates a FIFO that has no writer.
 fn fifo(path: &Path) {

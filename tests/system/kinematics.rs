@@ -2,13 +2,9 @@
 
 use ::mrroc::cell::{Model, Parameters};
 use controller::robot::RntParameters;
+use kit::mrroc::{Directory, Output, ROBOTS, mrroc};
+use kit::refusals::refused;
 use serde_json::Value;
-
-use crate::cli_refusals::refused;
-use crate::mrroc::{Directory, Output, mrroc};
-
-/// The robots known by name.
-pub(crate) const ROBOTS: [&str; 5] = ["irb6", "irp6", "irp6-track", "rnt", "polycrank"];
 
 /// Runs `mrroc kinematics` with these arguments.
 fn ask(words: &str) -> Output {
@@ -341,7 +337,7 @@ fn a_description_from_a_cell_has_its_scene_fixed_to_the_world() {
         ("irb6-sonar", "irb6", box_on_wall),
         ("irb6-milling", "irb6", board),
     ] {
-        let path = crate::mrroc::example(name);
+        let path = kit::mrroc::example(name);
         let output = mrroc(["urdf", "--robot", robot, "--cell", path.to_str().unwrap()]);
         assert_eq!(output.status.code(), Some(0), "{output:?}");
         let read = urdf_rs::read_from_string(&output.stdout).unwrap();
@@ -351,7 +347,7 @@ fn a_description_from_a_cell_has_its_scene_fixed_to_the_world() {
             assert_eq!(is_child(&link.name), usize::from(link.name != "world"), "{name}: {}", link.name);
         }
         let place = |link: &str| read.joints.iter().find(|joint| joint.child.link == link).unwrap();
-        let cell = ::mrroc::cell::Cell::parse(&crate::mrroc::text(name)).unwrap();
+        let cell = ::mrroc::cell::Cell::parse(&kit::mrroc::text(name)).unwrap();
         let base = cell.robot.iter().find(|it| it.name == robot).unwrap().cell_from_base();
         assert_eq!(place("base_link").parent.link, "world");
         assert_eq!(place("base_link").origin.xyz.0, <[f64; 3]>::from(base.translation.vector));

@@ -2,52 +2,13 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::f64::consts::TAU;
-use std::fs::File;
-use std::io::{BufRead, BufReader};
 use std::path::Path;
 
 use ::mrroc::cell::{Cell, Instruction, JointGenerator};
+use kit::meetings::{Row, beginnings, left_meetings, record};
+use kit::mrroc::{Directory, example, mrroc, text};
+use kit::refusals::refused;
 use serde_json::Value;
-
-use crate::cli_refusals::refused;
-use crate::mrroc::{Directory, example, mrroc, text};
-
-/// An axis of each robot.
-const AXES: [&str; 6] =
-    ["irb6.column", "irp6-track.track", "rnt.leg-1", "polycrank.q1", "gripper.jaws", "conveyor.belt"];
-
-/// Entry of one axis in a record: cycle, phase, commanded motor position, counts.
-pub(crate) type Row = (u64, String, f64, i64);
-
-/// The rows of the first axis of each robot, or of `axis` of the only robot.
-fn record(path: &Path, wanted: &[&str]) -> BTreeMap<String, Vec<Row>> {
-    let file = BufReader::new(File::open(path).expect("the record is there"));
-    let mut rows = BTreeMap::<String, Vec<Row>>::new();
-    for line in file.lines().skip(1) {
-        let line = line.expect("the record is text");
-        let mut columns = line.split(',');
-        let mut next = || columns.next().expect("a record has its columns");
-        let (cycle, _, axis, phase) = (next(), next(), next(), next());
-        if !wanted.contains(&axis) {
-            continue;
-        }
-        let (_, commanded, _, counts) = (next(), next(), next(), next());
-        rows.entry(axis.to_owned()).or_default().push((
-            cycle.parse().expect("a number"),
-            phase.to_owned(),
-            commanded.parse().expect("a number"),
-            counts.parse().expect("a number"),
-        ));
-    }
-    rows
-}
-
-/// Cycles in which an axis enters the phase `into`.
-fn beginnings(rows: &[Row], into: &str) -> Vec<u64> {
-    let pairs = rows.windows(2);
-    let begins = pairs.filter(|pair| pair[0].1 != into && pair[1].1 == into);
-    begins.map(|pair| pair[1].0).collect()
-}
 
 fn run(cell: &Path, record: &Path) -> Value {
     let run = mrroc([
@@ -86,18 +47,6 @@ fn check_homing(reports: &[Value]) {
         };
         assert!((found - expected).abs() <= within, "{report}, expected {expected}");
     }
-}
-
-/// Asserts by a record that every robot left the three meetings in the same cycle as all other robots. Returns the rows of
-/// one axis of each robot.
-pub(crate) fn left_meetings(log: &Path) -> BTreeMap<String, Vec<Row>> {
-    let rows = record(log, &AXES);
-    assert_eq!(rows.len(), AXES.len());
-    let starts = rows.values().map(|rows| beginnings(rows, "Moving"));
-    let starts: BTreeSet<_> = starts.collect();
-    assert_eq!(starts.len(), 1, "{starts:?}");
-    assert_eq!(starts.first().unwrap().len(), 3, "{starts:?}");
-    rows
 }
 
 /// The same, and that every robot reached its end in the same cycle as all other robots.

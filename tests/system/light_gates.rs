@@ -7,11 +7,10 @@ use std::time::Duration;
 use ::mrroc::bench::emulation::Emulation;
 use ::mrroc::cell::{Cell, CellFile};
 use can::Instant;
+use kit::mrroc::{Directory, Running, example_program};
+use kit::refusals::refused;
+use kit::steps;
 use serde_json::Value;
-
-use crate::cli_refusals::refused;
-use crate::mrroc::{Directory, Running, example_program};
-use crate::steps;
 
 /// Place of the front of the object along the conveyor, m from its centre, at a time, s, in the emulated world of a cell.
 fn front(file: &CellFile, at: f64) -> f64 {

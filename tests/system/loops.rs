@@ -3,12 +3,6 @@
 //!
 //! A test sequence is added to the output of the servo. [`servo::identify`] computes the open loop.
 
-mod cascades;
-mod homing;
-mod letter;
-mod motors;
-mod tracking;
-
 use std::f64::consts::TAU;
 use std::task::Poll;
 use std::time::Duration;
@@ -17,6 +11,7 @@ use can::Instant;
 use drive::{AxisCommand, AxisState, BringUpError, DriveGroup, GroupCounters, Homing, Increments, Power, Setpoint};
 use hil::AxisConfig;
 use hil::plant::{Irp6Axis, WutConfig};
+use motors::{Motor, Regression};
 use servo::identify::{self, Run, Trace};
 use servo::regulator::IRP6;
 use servo::{
@@ -25,9 +20,19 @@ use servo::{
 };
 
 use crate::regression::{LARGE, MOTION, SMALL, Trapezoid};
-use motors::{Motor, Regression};
+
+mod cascades;
+
+mod homing;
+
+mod letter;
+
+mod motors;
+
+mod tracking;
 
 const PERIOD: Duration = Duration::from_millis(2);
+
 const DT: f64 = 0.002;
 
 /// Length of the test sequence, cycles.

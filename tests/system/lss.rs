@@ -10,6 +10,7 @@ use hil::{AxisConfig, Epos4, Epos4Config, Irp6Axis, World};
 use master::lss::{Answer, LssError, Master, Service};
 
 const TICK: Duration = Duration::from_millis(1);
+
 const TIME_OUT: Duration = Duration::from_millis(5);
 
 struct Bench {

@@ -3,9 +3,8 @@
 use std::fs;
 use std::process::Command;
 
+use kit::mrroc::{Directory, example, example_program};
 use serde_json::Value;
-
-use crate::mrroc::{Directory, example, example_program};
 
 /// The picture of a workpiece: columns, rows, and grey values from the row with the greatest y.
 fn picture(bytes: &[u8]) -> (usize, usize, Vec<u16>) {

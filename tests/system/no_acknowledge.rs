@@ -10,10 +10,9 @@ use canopen::cob;
 use drive::bus::Sign;
 use drive::{BringUpError, DriveGroup, Fault};
 use hil::{Device, HostFault, WorldFault};
+use kit::cell::{Rig, Setup, traced};
+use kit::motion::Motion;
 use servo::{Order, Phase, StopCause};
-
-use crate::cell::{Rig, Setup, traced};
-use crate::motion::Motion;
 
 /// Distance that a motor may move after the release of the bus, rad: the power goes, and the brake takes the load. A drive
 /// that acts on an old set-point moves back from the end of its quick stop, by 0.8 rad.

@@ -6,9 +6,10 @@ use std::os::unix::fs::symlink;
 use std::path::Path;
 use std::process::{Command, Stdio};
 
-use crate::cli_refusals::refused;
+use kit::mrroc::{Directory, Output, binary, example, mrroc, shorten};
+use kit::refusals::refused;
+
 use crate::configuration::{cell, dcf};
-use crate::mrroc::{Directory, Output, binary, example, mrroc, shorten};
 
 /// `mrroc` with `words`, followed by an option and its file.
 fn with(words: &[&OsStr], option: &str, file: &Path) -> Output {

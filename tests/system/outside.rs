@@ -1,11 +1,9 @@
 //! Programs of users: the examples of the library, and a program that is no member of the workspace.
 
 use std::fs;
-use std::path::Path;
 use std::process::Command;
 
-use crate::bench::turn;
-use crate::mrroc::{Directory, example_program, root, shorten};
+use kit::mrroc::{Directory, cargo, example_program, root};
 
 #[test]
 fn the_example_generator_swings_out_and_comes_back_to_where_it_began() {
@@ -32,55 +30,6 @@ fn the_example_generator_swings_out_and_comes_back_to_where_it_began() {
     let farthest = commanded.iter().map(|it| (it - first).abs()).fold(0.0, f64::max);
     // 0.5 rad of the joint, by a gear of 158.
     assert!((70.0..90.0).contains(&farthest), "{farthest}");
-}
-
-/// A macrostep of one period leaves the controller less than a period for its answer. In a run by the clock, a longer delay
-/// starves the motion, and the test repeats the run.
-#[test]
-fn a_generator_with_feedback_in_every_period_runs_in_lockstep_and_by_the_clock() {
-    let directory = Directory::new();
-    let cell = directory.cell("irb6", shorten);
-    completes_in_lockstep_and_by_the_clock("feedback", &cell);
-}
-
-/// A robot that plans for 50 ms starves no other, not even one that needs a macrostep in every period.
-#[test]
-fn a_long_plan_of_one_robot_does_not_delay_another() {
-    let directory = Directory::new();
-    let cell = directory.cell("irb6", |cell| {
-        shorten(cell);
-        let (mut bus, mut robot) = (cell.bus[0].clone(), cell.robot[0].clone());
-        (bus.name, robot.name) = ("second".into(), "second".into());
-        bus.interface = "can1".into();
-        robot.axis.iter_mut().for_each(|axis| axis.bus = "second".into());
-        cell.bus.push(bus);
-        cell.robot.push(robot);
-        cell.robot.iter_mut().for_each(|robot| robot.program.clear());
-    });
-    completes_in_lockstep_and_by_the_clock("slow_plans", &cell);
-}
-
-fn completes_in_lockstep_and_by_the_clock(program: &str, cell: &Path) {
-    let run = |bench| Command::new(example_program(program)).arg(cell).args(["--bench", bench]).output().unwrap();
-    let lockstep = run("lockstep");
-    assert!(lockstep.status.success(), "{lockstep:?}");
-    let _turn = turn();
-    // On the virtual machine used for development, two of six runs had a pause of a period or more.
-    let mut completed = 0;
-    for _ in 0..12 {
-        let by_the_clock = run("emulated");
-        if by_the_clock.status.success() {
-            completed += 1;
-            if completed == 2 {
-                return;
-            }
-            continue;
-        }
-        let said = String::from_utf8_lossy(&by_the_clock.stderr).into_owned();
-        let said = said + &String::from_utf8_lossy(&by_the_clock.stdout);
-        assert!(said.contains("no macrostep in time"), "{said}");
-    }
-    panic!("the controller was late in ten of twelve runs");
 }
 
 #[test]
@@ -127,7 +76,7 @@ fn a_program_outside_the_workspace_runs_its_own_generator_in_lockstep() {
     let package = root().join("tests/outside");
     // The versions of the workspace, whose registry packages are built already; cargo drops what is not needed.
     fs::copy(root().join("Cargo.lock"), package.join("Cargo.lock")).unwrap();
-    let built = Command::new(env!("CARGO"))
+    let built = cargo()
         .args(["run", "--quiet", "--offline", "--manifest-path"])
         .arg(package.join("Cargo.toml"))
         .arg("--config")

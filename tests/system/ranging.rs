@@ -6,12 +6,12 @@ use ::mrroc::prelude::{Outcome, RunOutcome};
 use ::mrroc::report::RunReport;
 use ::mrroc::tasks;
 use drive::ultrasonic::ScanKind;
-
-use crate::mrroc::{Directory, example};
+use kit::mrroc::{Directory, example};
 
 #[path = "../../examples/locate_box.rs"]
 #[expect(dead_code, reason = "the program of the example has a main of its own")]
 mod locate_box;
+
 #[path = "../../examples/until_touch.rs"]
 #[expect(dead_code, reason = "the program of the example has a main of its own")]
 mod until_touch;

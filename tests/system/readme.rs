@@ -1,11 +1,9 @@
 //! The commands that the README shows, and the excerpts of cell files in the book. `tests/readme` runs the commands.
 
 use std::fs;
-use std::process::Command;
 
+use kit::mrroc::{Directory, cargo, example, mrroc, root};
 use serde_json::{Value, json};
-
-use crate::mrroc::{Directory, example, mrroc, root};
 
 /// The programs of the workspace according to `cargo metadata`.
 fn programs(metadata: &Value) -> Vec<&Value> {
@@ -21,7 +19,7 @@ fn programs(metadata: &Value) -> Vec<&Value> {
 /// `cargo run` without a name fails if there are two programs.
 #[test]
 fn cargo_run_has_one_program_to_choose_from() {
-    let metadata = Command::new(env!("CARGO"))
+    let metadata = cargo()
         .args(["metadata", "--no-deps", "--format-version=1", "--locked", "--offline"])
         .current_dir(root())
         .output()

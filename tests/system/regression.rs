@@ -88,7 +88,9 @@ pub(crate) const LARGE: WutConfig = WutConfig {
     friction: FrictionConfig::NONE,
     resistance: 0.6,
 };
+
 pub(crate) const SMALL: WutConfig = WutConfig { inertia: 1.5e-5, viscous: 2e-4, ..LARGE };
+
 pub(crate) const MOTION: Trapezoid = Trapezoid { distance: 100.0, velocity: 50.0, acceleration: 150.0 };
 
 #[test]

@@ -4,9 +4,9 @@ use std::fs;
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::thread;
 
-use crate::cell::{Setup, traced};
-use crate::cli_refusals::refused;
-use crate::mrroc::{Directory, Running, example, mrroc, shorten};
+use kit::cell::{Setup, traced};
+use kit::mrroc::{Directory, Running, example, mrroc, shorten};
+use kit::refusals::refused;
 
 /// Hash of every frame of a whole run with time and direction, and the number of frames.
 fn run(seed: u64) -> (u64, u64) {
@@ -88,5 +88,5 @@ fn robots_that_are_emulated_by_several_threads_do_the_same() {
 #[test]
 fn threads_of_an_emulation_that_keeps_pace_with_the_clock_are_refused() {
     let cell = example("irb6").display().to_string();
-    refused(&mrroc(["run", &cell, "--bench", "emulated", "--threads", "2"]), &["--threads needs --bench lockstep"]);
+    refused(&mrroc(["run", &cell, "--threads", "2"]), &["--threads needs --bench lockstep"]);
 }

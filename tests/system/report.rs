@@ -3,11 +3,9 @@
 use std::fs;
 use std::path::Path;
 
+use kit::mrroc::{Directory, Output, example, mrroc, root};
 use roxmltree::{Document, ParsingOptions};
 use serde_json::Value;
-
-use crate::bench::turn;
-use crate::mrroc::{Directory, Output, example, mrroc, root, shorten};
 
 /// A lockstep run of an example cell with `words`.
 fn lockstep(cell: &str, words: &[&str]) -> Output {
@@ -53,18 +51,6 @@ fn the_report_begins_with_the_tool_path_error_of_each_robot() {
     }
     let joints = robots.iter().filter(|robot| robot["subject"] == "joint");
     assert_eq!(joints.count(), 2, "gripper and conveyor");
-}
-
-#[test]
-fn a_robot_by_the_clock_has_its_error_and_loses_no_record() {
-    let _turn = turn();
-    let directory = Directory::new();
-    let cell = directory.cell("irb6", shorten);
-    let run = mrroc(["run".as_ref(), cell.as_os_str(), "--json".as_ref()]);
-    let report = run.json();
-    assert_eq!(report["lost_records"], 0, "{report}");
-    let peak = report["robots"][0]["position_mm"]["peak"].as_f64();
-    assert!(peak > Some(0.01) && peak < Some(1.0), "{report}");
 }
 
 #[test]

@@ -6,12 +6,11 @@ use std::time::Duration;
 use drive::axis_controller::AxisControllerFault;
 use drive::{AxisCommand, Fault};
 use hil::{LineFaults, PlantConfig, Stuck, WireFaults};
+use kit::cell::Setup;
+use kit::motion::Motion;
+use kit::mrroc::SERIAL_CELLS;
 use serial::LineError;
 use servo::{Order, Phase, ServoFault, StopCause};
-
-use crate::cell::Setup;
-use crate::motion::Motion;
-use crate::mrroc::SERIAL_CELLS;
 
 /// Distance that a motor without power runs on from [`Motion::VELOCITY`] until friction stops it, rad.
 const RUN_OUT: f64 = 12.0;

@@ -5,10 +5,9 @@ use std::time::Duration;
 
 use ::mrroc::cell::Cell;
 use hil::plant::Switch;
+use kit::cell::{Rig, Setup};
+use kit::mrroc::SERIAL_CELLS;
 use servo::{Order, Phase};
-
-use crate::cell::{Rig, Setup};
-use crate::mrroc::SERIAL_CELLS;
 
 /// One increment of every encoder, rad of the motor.
 const COUNT: f64 = TAU / 4000.0;

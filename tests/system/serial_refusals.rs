@@ -2,14 +2,9 @@
 //! enabled.
 
 use std::fs;
-use std::os::unix::fs::symlink;
 
-use hil::Pty;
-use serial::{Settings, Tty};
-
-use crate::bench::turn;
-use crate::cli_refusals::refused;
-use crate::mrroc::{Directory, mrroc, text};
+use kit::mrroc::{Directory, mrroc, text};
+use kit::refusals::refused;
 
 /// A name, a text in the cell, the replacement of the text, and the required parts of the refusal.
 type Case = (&'static str, &'static str, &'static str, &'static [&'static str]);
@@ -104,8 +99,7 @@ fn a_wrong_serial_cell_or_drive_is_refused_and_nothing_is_enabled() {
 
 #[test]
 fn an_adapter_with_a_latency_of_eight_periods_is_named() {
-    let _turn = turn();
-    for name in crate::mrroc::SERIAL_CELLS {
+    for name in kit::mrroc::SERIAL_CELLS {
         let directory = Directory::new();
         let cell = directory.cell(name, |cell| cell.serial[0].emulated_latency_ms = Some(16));
         let run = mrroc(["run".as_ref(), cell.as_os_str(), "--bench=lockstep".as_ref()]);
@@ -113,34 +107,4 @@ fn an_adapter_with_a_latency_of_eight_periods_is_named() {
         let said = format!("{}{}", run.stdout, run.stderr);
         assert!(said.contains("latency timer"), "{said}");
     }
-}
-
-#[test]
-fn a_line_that_cannot_be_used_is_refused_by_its_axis() {
-    let directory = Directory::new();
-    let cell = directory.write("cell.toml", &text("irb6-serial"));
-    let axes = ["column", "lower-arm", "upper-arm", "wrist-pitch", "wrist-roll"];
-    let ptys: Vec<Pty> = axes.iter().map(|_| Pty::open().unwrap()).collect();
-    let ttys = directory.path("ttys");
-    fs::create_dir(&ttys).unwrap();
-    for (axis, pty) in axes.iter().zip(&ptys) {
-        symlink(pty.path(), ttys.join(axis)).unwrap();
-    }
-    let run =
-        |bench: &str| mrroc(["run".as_ref(), cell.as_os_str(), bench.as_ref(), "--serial".as_ref(), ttys.as_os_str()]);
-    // No emulator serves the other ends.
-    refused(&run("--bench=card"), &["bus arm, axis column: ", "no answer", "baud rate"]);
-    // Root may open a tty that another process uses exclusively.
-    let held = Tty::open(ttys.join("column"), Settings::AXIS_CONTROLLER).unwrap();
-    let busy = run("--bench=card");
-    if !busy.stderr.contains("no answer") {
-        refused(&busy, &["axis column: ", "in use by another process"]);
-    }
-    drop(held);
-    fs::remove_file(ttys.join("lower-arm")).unwrap();
-    refused(&run("--bench=card"), &["axis lower-arm: ", "no such device"]);
-    fs::write(ttys.join("lower-arm"), "no tty").unwrap();
-    refused(&run("--bench=card"), &["axis lower-arm: ", "not a tty"]);
-    // On a bench of pseudo-terminals, a real tty is refused before it is opened.
-    refused(&run("--bench=vcan"), &["lower-arm may be hardware", "--bench card"]);
 }

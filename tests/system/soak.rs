@@ -4,8 +4,7 @@ use std::time::Duration;
 
 use ::faults::soak::{MOST_GROWTH_KIB, SoakOptions, soak};
 use ::mrroc::cell::CellFile;
-
-use crate::mrroc::example;
+use kit::mrroc::example;
 
 #[test]
 fn a_minute_with_a_fault_loses_nothing_and_is_the_same_again() {

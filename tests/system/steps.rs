@@ -2,12 +2,9 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
-use std::path::Path;
-use std::process::Command;
 
-use serde_json::Value;
-
-use crate::mrroc::{Directory, example, example_program, root};
+use kit::mrroc::{example, root};
+use kit::steps::{Line, lines, run};
 
 /// The examples with their cells, in the order of the alphabet.
 fn examples() -> Vec<(String, String)> {
@@ -21,49 +18,6 @@ fn examples() -> Vec<(String, String)> {
     let mut examples: Vec<_> = sources.map(with_cell).collect();
     examples.sort();
     examples
-}
-
-/// The steps, the record and the report of an example in lockstep.
-pub(crate) fn run(program: &str, cell: &Path) -> (String, String, Value) {
-    let directory = Directory::new();
-    let [steps, record] = ["steps.csv", "axes.csv"].map(|name| directory.path(name));
-    let mut command = Command::new(example_program(program));
-    command.arg(cell).args(["--bench", "lockstep", "--json", "--steps"]).arg(&steps);
-    let output = command.arg("--record").arg(&record).output().unwrap();
-    assert!(output.status.success(), "{program}: {output:?}");
-    let mut report: Value = serde_json::from_slice(&output.stdout).unwrap();
-    // The only time of the host.
-    report.as_object_mut().unwrap().remove("realtime_factor").unwrap();
-    let [steps, record] = [steps, record].map(|path| fs::read_to_string(path).unwrap());
-    (steps, record, report)
-}
-
-/// A line of a file of steps.
-pub(crate) struct Line<'a> {
-    pub(crate) time_s: f64,
-    pub(crate) agent: &'a str,
-    pub(crate) instruction: u64,
-    pub(crate) generator: &'a str,
-    pub(crate) class: u8,
-    pub(crate) macrostep: u64,
-    pub(crate) event: &'a str,
-    pub(crate) memory: &'a str,
-}
-
-/// The lines of a file of steps.
-pub(crate) fn lines(steps: &str) -> impl Iterator<Item = Line<'_>> {
-    steps.lines().skip(1).map(|line| {
-        // The name of a generator is in quotes, and may have commas.
-        let [before, generator, after] = line.splitn(3, '"').collect::<Vec<_>>()[..] else { panic!("{line}") };
-        let [time_s, agent, instruction, ""] = before.split(',').collect::<Vec<_>>()[..] else { panic!("{line}") };
-        let ["", class, macrostep, event, _, memory] = after.split(',').collect::<Vec<_>>()[..] else {
-            panic!("{line}")
-        };
-        let number = |text: &str| text.parse().unwrap();
-        let (instruction, macrostep) = (number(instruction), number(macrostep));
-        let (time_s, class) = (time_s.parse().unwrap(), class.parse().unwrap());
-        Line { time_s, agent, instruction, generator, class, macrostep, event, memory }
-    })
 }
 
 /// The images that the steps of each generator and coordinator read, by agent, generator and class.

@@ -2,47 +2,11 @@
 
 use std::collections::BTreeMap;
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
-use controller::trajectory_file::{Coordinates, TrajectoryFile};
-
-use crate::bench::patient_turn;
-use crate::mrroc::{Directory, Output, Running, mrroc, shorten};
-
-/// Orders that teach three positions.
-const ORDERS: [&str; 8] = [
-    "record",
-    "move column 0.3",
-    "move lower-arm -0.1",
-    "record",
-    "move wrist-pitch 0.2",
-    "move upper-arm 0.1",
-    "record",
-    "done",
-];
-
-/// The first four joints of the taught positions, as displacements from the first position, rad.
-const TAUGHT: [[f64; 4]; 3] = [[0.0; 4], [0.3, -0.1, 0.0, 0.0], [0.3, -0.1, 0.1, 0.2]];
-
-/// A cell without a program, with these parameters of its task.
-fn cell(directory: &Directory, parameters: &str) -> PathBuf {
-    directory.cell("irb6", |cell| {
-        shorten(cell);
-        cell.robot[0].program.clear();
-        cell.task = toml::from_str(parameters).unwrap();
-    })
-}
-
-fn arguments<'a>(cell: &'a Path, task: &'a str, options: &[&'a str]) -> Vec<&'a str> {
-    let mut arguments = vec!["run", cell.to_str().unwrap(), "--task", task];
-    arguments.extend(options);
-    arguments
-}
-
-/// Teaches with these orders. Standard input stays open.
-fn teach(cell: &Path, orders: &[&str], options: &[&str]) -> Output {
-    Running::with_input(orders, arguments(cell, "teach", &[&["--operator"], options].concat())).output()
-}
+use controller::trajectory_file::TrajectoryFile;
+use kit::mrroc::{Directory, Output, Running, mrroc};
+use kit::teach::{ORDERS, arguments, cell, taught};
 
 /// As [`teach`] in virtual time, where standard input must end.
 fn teach_in_lockstep(cell: &Path, orders: &[&str], options: &[&str]) -> Output {
@@ -50,21 +14,6 @@ fn teach_in_lockstep(cell: &Path, orders: &[&str], options: &[&str]) -> Output {
     let mut running = Running::with_input(orders, arguments);
     running.close_input();
     running.output()
-}
-
-/// The taught file, with its three positions checked.
-#[track_caller]
-fn taught(path: &Path) -> TrajectoryFile {
-    let file = TrajectoryFile::parse(&fs::read_to_string(path).unwrap()).unwrap();
-    assert_eq!((file.coordinates(), file.columns(), file.poses().len()), (Coordinates::Joint, 5, 3));
-    let first = file.poses()[0].position;
-    for (pose, by) in file.poses().iter().zip(TAUGHT) {
-        for (axis, by) in by.into_iter().enumerate() {
-            let found = pose.position[axis] - first[axis];
-            assert!((found - by).abs() < 1e-6, "axis {axis}: {found} for {by}");
-        }
-    }
-    file
 }
 
 /// Last commanded position of each axis while the robot stood, rad.
@@ -109,16 +58,6 @@ fn two_teach_ins_in_lockstep_with_the_same_lines_are_the_same_bit_for_bit() {
     });
     assert!(runs[0].1.starts_with("MOTOR\n3\n"), "{}", runs[0].1);
     assert!(runs[0] == runs[1], "the records differ");
-}
-
-#[test]
-fn a_teach_in_by_the_clock_ends_although_standard_input_stays_open() {
-    let _turn = patient_turn();
-    let directory = Directory::new();
-    let cell = cell(&directory, "file = 'poses.trj'\nvelocity = 1.0\nacceleration = 1.0");
-    let run = teach(&cell, &ORDERS, &["--bench=emulated"]);
-    assert_eq!(run.status.code(), Some(0), "{run:?}");
-    taught(&directory.path("poses.trj"));
 }
 
 #[test]

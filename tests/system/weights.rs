@@ -8,9 +8,8 @@ use std::fs;
 
 use ::mrroc::cell::{Cell, EmulatedPayload, Instruction, JointGenerator, Joints, Parameters};
 use controller::robot::RntParameters;
-
-use crate::cli_refusals::refused;
-use crate::mrroc::{Directory, mrroc, shorten};
+use kit::mrroc::{Directory, mrroc, shorten};
+use kit::refusals::refused;
 
 const G: f64 = 9.81;
 
@@ -18,6 +17,7 @@ const G: f64 = 9.81;
 type Row = (f64, bool, f64);
 
 type Alteration = fn(&mut Cell);
+
 const AS_IT_IS: Alteration = |_| {};
 
 /// Moves through the poses in order. Every motion lasts 4 s.

@@ -134,6 +134,7 @@ pub(super) const ROWS: &[Row] = &[
 ];
 
 const TEXT: (u16, u8) = (0x2FF0, 1);
+
 const DOMAIN: (u16, u8) = (0x2FF0, 2);
 
 /// CRC of a block transfer: polynomial 0x1021, initial value 0 (CiA 301 §7.2.4.3.16).

@@ -1,5 +1,10 @@
 //! A client of CiA 402: power states, modes of operation, and measurements of the motion.
 
+use Power::{
+    Fault, FaultReactionActive, NotReadyToSwitchOn, OperationEnabled, QuickStopActive, ReadyToSwitchOn,
+    SwitchOnDisabled, SwitchedOn,
+};
+
 use super::rig::{Deviation, Rig, TURN, Verdict, ensure};
 
 /// Power states of CiA 402.
@@ -15,11 +20,6 @@ pub(super) enum Power {
     Fault,
 }
 
-use Power::{
-    Fault, FaultReactionActive, NotReadyToSwitchOn, OperationEnabled, QuickStopActive, ReadyToSwitchOn,
-    SwitchOnDisabled, SwitchedOn,
-};
-
 /// Masks, patterns of the statusword and their states.
 const PATTERNS: [(u32, u32, Power); 8] = [
     (0x4F, 0x00, NotReadyToSwitchOn),
@@ -34,10 +34,15 @@ const PATTERNS: [(u32, u32, Power); 8] = [
 
 /// Modes of operation.
 pub(super) const PP: i64 = 1;
+
 pub(super) const PV: i64 = 3;
+
 pub(super) const HM: i64 = 6;
+
 pub(super) const CSP: i64 = 8;
+
 pub(super) const CSV: i64 = 9;
+
 pub(super) const CST: i64 = 10;
 
 /// Node-ID of a heartbeat producer that the check emulates.

@@ -151,6 +151,7 @@ pub(super) const ROWS: &[Row] = &[
 
 /// Node-ID of a producer that the check emulates.
 const PRODUCER: u8 = 0x7E;
+
 const LOST: [u8; 2] = [0x30, 0x81];
 
 fn beat(rig: &mut Rig, node: u8) {

@@ -2,10 +2,11 @@
 
 use std::f64::consts::TAU;
 
+use hil::AxisConfig;
+
 use super::drive::{HM, PP, Power::OperationEnabled};
 use super::rig::{Deviation, Rig, START, TURN, Verdict, ensure, switched_axis};
 use super::{CIA_402_2, Row};
-use hil::AxisConfig;
 
 pub(super) const ROWS: &[Row] = &[
     CIA_402_2.row(
@@ -124,14 +125,20 @@ pub(super) const ROWS: &[Row] = &[
 ];
 
 const MASK: u32 = 0x3400;
+
 const ATTAINED: u32 = 0x1400;
+
 /// Search speed towards a switch and onto its edge, rpm.
 const SEARCH: i64 = 240;
+
 const ZERO: i64 = 30;
+
 /// Angle of one count, rad.
 const COUNT: f64 = TAU / TURN as f64;
+
 /// Distance in 2 ms at the speed [`ZERO`], rad. The drive samples its switches every millisecond.
 const REACTION: f64 = ZERO as f64 / 60.0 * TAU * 2e-3;
+
 /// Angle of an index pulse of the rig's axis: 1 rad above the start; one pulse per revolution.
 const INDEX: f64 = START + 1.0;
 

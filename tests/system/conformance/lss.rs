@@ -1,8 +1,9 @@
 //! Claims about LSS: the two states, switching between them, and configuration.
 
+use hil::Epos4Config;
+
 use super::rig::{Deviation, Mark, NODE, Rig, SDO_ANSWER, Verdict, ensure, hex, request, unit};
 use super::{CIA_305, Row};
-use hil::Epos4Config;
 
 pub(super) const ROWS: &[Row] = &[
     CIA_305.row(

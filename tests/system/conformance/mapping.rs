@@ -1,10 +1,11 @@
 //! Claims about PDO mapping: what can be mapped, the re-mapping procedure, and the order of the bytes.
 
+use canopen::eds::Access;
+
 use super::objects::sheet;
 use super::pdo::{Pdo, SECOND, rpdo, tpdo};
 use super::rig::{Rig, TPDO, Verdict, ensure, hex};
 use super::{CIA_301, CIA_402_3, Row};
-use canopen::eds::Access;
 
 pub(super) const ROWS: &[Row] = &[
     CIA_301.row(

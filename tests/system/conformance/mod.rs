@@ -3,37 +3,57 @@
 //! [`TABLE`] lists the claims. Each check uses a drive of its own, byte by byte, in virtual time. The table is written
 //! as JSON to `target/conformance.json` and as Markdown to `docs/conformance.md`.
 
-mod block;
-mod cyclic;
-mod drive;
-mod emergency;
-mod error_control;
-mod homing;
-mod identification;
-mod lss;
-mod mapping;
-mod nmt;
-mod objects;
-mod options;
-mod pdo;
-mod position;
-mod power;
-mod profile;
-mod rig;
-mod sdo;
-mod store;
-mod sync;
-mod transmission;
-mod velocity;
-
 use std::collections::BTreeSet;
 use std::fmt::Write as _;
 use std::fs;
 
 use canopen::eds::Eds;
-
-use crate::mrroc::root;
+use kit::mrroc::root;
 use rig::{Bench, Rig, Verdict};
+
+mod block;
+
+mod cyclic;
+
+mod drive;
+
+mod emergency;
+
+mod error_control;
+
+mod homing;
+
+mod identification;
+
+mod lss;
+
+mod mapping;
+
+mod nmt;
+
+mod objects;
+
+mod options;
+
+mod pdo;
+
+mod position;
+
+mod power;
+
+mod profile;
+
+mod rig;
+
+mod sdo;
+
+mod store;
+
+mod sync;
+
+mod transmission;
+
+mod velocity;
 
 /// A standard and the version whose sections are cited.
 #[derive(Clone, Copy)]
@@ -43,8 +63,11 @@ struct Standard {
 }
 
 const CIA_301: Standard = Standard { name: "CiA 301", version: "4.2.0" };
+
 const CIA_305: Standard = Standard { name: "CiA 305", version: "3.0.0" };
+
 const CIA_402_2: Standard = Standard { name: "CiA 402-2", version: "4" };
+
 const CIA_402_3: Standard = Standard { name: "CiA 402-3", version: "4" };
 
 /// One claim.

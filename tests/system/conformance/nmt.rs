@@ -123,7 +123,9 @@ pub(super) const ROWS: &[Row] = &[
 ];
 
 const PRE_OPERATIONAL: u8 = 0x7F;
+
 const OPERATIONAL: u8 = 0x05;
+
 const STOPPED: u8 = 0x04;
 
 /// NMT commands and the states that they lead to.

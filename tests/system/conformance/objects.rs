@@ -2,10 +2,10 @@
 
 use canopen::eds::{Access, DataType, Eds, Variable};
 use canopen::{NodeId, Object};
+use kit::mrroc::root;
 
 use super::rig::{Deviation, NODE, Rig, Verdict, aborted, download_request, ensure, hex, request};
 use super::{CIA_301, CIA_402_2, Row};
-use crate::mrroc::root;
 
 pub(super) const ROWS: &[Row] = &[
     CIA_301.row(

@@ -138,12 +138,17 @@ pub(super) const ROWS: &[Row] = &[
 
 /// Speed of the axis before each stop, rpm.
 const SPEED: i32 = 3_000;
+
 /// Decelerations, rpm/s.
 const PROFILE: i32 = 10_000;
+
 const QUICK: i32 = 30_000;
+
 /// Times of the two ramps, ms.
 const PROFILE_TIME: f64 = 300.0;
+
 const QUICK_TIME: f64 = 100.0;
+
 /// Duration of a stop at the current limit of 20 A, ms: torque 2.1 N·m on an inertia of 1.5e-4 kg·m².
 const LIMIT_TIME: f64 = 60.0;
 

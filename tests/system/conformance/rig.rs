@@ -12,21 +12,30 @@ use hil::{AxisConfig, DeviceId, Epos4, Epos4Config, Irp6Axis, World};
 
 /// The node-ID of the drive under test.
 pub(super) const NODE: u8 = 2;
+
 /// COB-IDs of the drive under test (CiA 301 §7.3.3).
 pub(super) const EMCY: u16 = 0x080 + NODE as u16;
+
 pub(super) const SDO_REQUEST: u16 = 0x600 + NODE as u16;
+
 pub(super) const SDO_ANSWER: u16 = 0x580 + NODE as u16;
+
 pub(super) const HEARTBEAT: u16 = 0x700 + NODE as u16;
+
 /// COB-IDs of the first four PDOs of the drive under test.
 pub(super) const RPDO: [u16; 4] = [0x202, 0x302, 0x402, 0x502];
+
 pub(super) const TPDO: [u16; 4] = [0x182, 0x282, 0x382, 0x482];
 
 /// Encoder counts of one motor turn.
 pub(super) const TURN: i32 = 4000;
+
 /// Motor angle at power-on, rad.
 pub(super) const START: f64 = 4.0;
+
 /// Time that a client waits for the answer of an SDO server.
 const ANSWER: Duration = Duration::from_millis(100);
+
 /// Lines of the trace that a deviation shows.
 const SHOWN: usize = 24;
 
@@ -46,6 +55,7 @@ macro_rules! ensure {
         }
     };
 }
+
 pub(super) use ensure;
 
 /// A frame of the trace.

@@ -172,6 +172,7 @@ pub(super) const ROWS: &[Row] = &[
 
 /// A visible string of the emulator that is longer than one segment.
 const TEXT: (u16, u8) = (0x2FF0, 1);
+
 /// A domain of the emulator, which accepts any bytes.
 const DOMAIN: (u16, u8) = (0x2FF0, 2);
 

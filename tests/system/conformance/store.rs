@@ -91,13 +91,17 @@ pub(super) const ROWS: &[Row] = &[
 ];
 
 const SAVE: i64 = 0x6576_6173;
+
 const LOAD: i64 = 0x6461_6F6C;
+
 /// 0800 0020 to 0800 0022.
 const REFUSALS: &[u32] = &[0x0800_0020, 0x0800_0021, 0x0800_0022];
 
 /// A value of each area, and their defaults.
 const HEARTBEAT_TIME: u32 = 1500;
+
 const PROFILE_VELOCITY: u32 = 4321;
+
 const DEFAULTS: (u32, u32) = (0, 1000);
 
 fn change(rig: &mut Rig) -> Verdict {

@@ -1,9 +1,10 @@
 //! Claims about profile velocity mode, units of velocity, and inputs and outputs.
 
+use hil::AxisConfig;
+
 use super::drive::{PV, Power::OperationEnabled, counts_per_second};
 use super::rig::{Deviation, Rig, START, Verdict, ensure, switched_axis};
 use super::{CIA_402_2, Row};
-use hil::AxisConfig;
 
 pub(super) const ROWS: &[Row] = &[
     CIA_402_2.row(

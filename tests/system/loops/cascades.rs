@@ -13,6 +13,7 @@ use crate::regression::Trapezoid;
 /// Bandwidth of the velocity loop in the cascade for the physical plant, rad/s. The open loop crosses over near this
 /// frequency.
 const BANDWIDTH: f64 = 100.0;
+
 const POSITION_GAIN: f64 = 25.0;
 
 /// Gains for a drive that controls the current.

@@ -11,11 +11,11 @@ use drive::{
 };
 use hil::AxisConfig;
 use hil::plant::{self, Demand, Irp6Axis};
+use servo::Output;
 use servo::{Direction, HomingLeg, HostHoming, Order, Phase};
 
 use super::cascades::serial;
 use super::{DT, Rig};
-use servo::Output;
 
 /// A drive group of physical axes. The drives control the current, latch index pulses on request, and answer one
 /// telegram later.

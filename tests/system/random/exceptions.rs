@@ -29,7 +29,9 @@ const fn faulted(key: &'static str, words: &'static [&'static str], why: &'stati
 }
 
 const OTHER_DRIVE: &str = "the emulated drive is another one than the cell expects, as the run finds out";
+
 const NO_LOOP: &str = "the rehearsal closes no loop";
+
 const LATE: &str = "the run finds out how late a device answers";
 
 /// Faults of a badly tuned loop.

@@ -5,10 +5,10 @@ use std::fs;
 
 use ::mrroc::cell::{Cell, Instruction, JointGenerator, Joints, LineInstruction, Parameters};
 use controller::robot::Irb6Parameters;
+use kit::mrroc::{Directory, mrroc, shorten, text};
 
-use super::draw::Draw;
 use super::verdict::{Verdict, judge_all};
-use crate::mrroc::{Directory, mrroc, shorten, text};
+use kit::draw::Draw;
 
 /// Number of programs of one straight line each.
 const PROGRAMS: u64 = 180;

@@ -7,18 +7,23 @@
 //! operator to every key of every cell. Each disagreement is printed at once with its case. At the end, the test fails
 //! and prints one cell.
 
-pub(crate) mod draw;
-mod exceptions;
-mod homed;
-mod mutations;
-mod operators;
-mod programs;
-mod variants;
-mod verdict;
-
-use draw::Draw;
+use kit::draw::Draw;
 use mutations::Mutations;
 use verdict::{Disagreement, Verdict, judge_but};
+
+mod exceptions;
+
+mod homed;
+
+mod mutations;
+
+mod operators;
+
+mod programs;
+
+mod variants;
+
+mod verdict;
 
 /// Number of random programs in a default run.
 const PROGRAMS: u64 = 200;

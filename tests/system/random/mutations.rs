@@ -4,10 +4,10 @@ use std::collections::BTreeMap;
 
 use ::mrroc::cell::{Cell, Model};
 
-use super::draw::Draw;
 use super::operators::Operator;
 use super::variants;
 use super::verdict::Case;
+use kit::draw::Draw;
 
 /// One line of a cell and its alteration.
 #[derive(Clone, Copy, Debug)]

@@ -1,6 +1,8 @@
 //! Alterations of one line of a cell: a table's header, or a key and its value.
 
-use super::draw::Draw;
+use Operator::*;
+
+use kit::draw::Draw;
 
 /// One alteration. Each operator draws a random value of its kind.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -49,8 +51,6 @@ pub(super) enum Operator {
     ElementAltered,
 }
 
-use Operator::*;
-
 /// Operators for the header of a table.
 const OF_A_HEADER: [Operator; 4] = [Deleted, Doubled, Renamed, Nested];
 
@@ -64,8 +64,11 @@ const OF_ANY_KEY: [Operator; 17] = [
 const OF_AN_ARRAY: [Operator; 3] = [ElementDeleted, ElementDoubled, ElementAltered];
 
 const ZEROS: [&str; 3] = ["0", "0.0", "-0.0"];
+
 const NEGATIVES: [&str; 6] = ["-1", "-1.0", "-0.001", "-1e300", "-1000.0", "-9223372036854775808"];
+
 const SMALL: [&str; 5] = ["1", "0.5", "0.001", "1e-9", "1e-300"];
+
 const LARGE: [&str; 13] = [
     "2",
     "100.0",
@@ -81,13 +84,20 @@ const LARGE: [&str; 13] = [
     "9223372036854775807",
     "1e300",
 ];
+
 const NOT_FINITE: [&str; 3] = ["nan", "inf", "-inf"];
+
 const TRUTH_VALUES: [&str; 2] = ["true", "false"];
+
 const ARRAYS: [&str; 4] = ["[]", "[0]", "[[]]", "[1e300, nan]"];
+
 const TABLES: [&str; 3] = ["{}", "{ a = 1 }", "{ a = { b = [] } }"];
+
 const MALFORMED: [&str; 7] = ["1979-05-27", "9223372036854775808", "1e999", "", "=", "\"open", "[1, 2"];
+
 const TEXTS: [&str; 14] =
     ["", " ", "a", "0", "nan", "a b", "Ünïcödé", "\\u0000", "\\n", "\\u001b[2J", "\\\"", "../../..", "/dev/zero", "/"];
+
 const FACTORS: [f64; 7] = [-1.0, 0.1, 0.5, 0.99, 1.01, 2.0, 10.0];
 
 impl Operator {

@@ -4,10 +4,10 @@ use ::mrroc::cell::{Cell, EmulatedPayload, Instruction, JointGenerator, Joints, 
 use controller::generator::Axes;
 use controller::robot::Arm;
 use controller::robot::Limits;
+use kit::mrroc::{shorten, text};
 
-use super::draw::Draw;
 use super::verdict::judge;
-use crate::mrroc::{shorten, text};
+use kit::draw::Draw;
 
 /// The example cells with one robot, and their relative frequency.
 const CELLS: [(&str, usize); 7] = [

@@ -6,11 +6,11 @@ use ::mrroc::cell::{
 };
 use controller::robot::Mass;
 use hil::plant::Irp6Axis;
+use kit::mrroc::{examples, shorten, text};
 use servo::regulator::{IRP6, IRP6_DUTY, IncrementalConfig};
 
 use super::verdict::DCF;
 use crate::host_closed::closed_by_host;
-use crate::mrroc::{examples, shorten, text};
 
 /// Examples of which every variant has further keys.
 const WITH_KEYS: [&str; 8] = [

@@ -7,8 +7,9 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Condvar, Mutex};
 use std::thread;
 
+use kit::mrroc::{Directory, Output, Running};
+
 use crate::configuration;
-use crate::mrroc::{Directory, Output, Running};
 
 /// Address space of a child process, KiB: no command needs more than 200 MB.
 const MEMORY: u32 = 200_000;
@@ -117,6 +118,7 @@ fn place<'a>(stderr: &'a str, path: &Path) -> Option<&'a str> {
 struct Turn;
 
 static TURNS: Mutex<usize> = Mutex::new(0);
+
 static GIVEN_BACK: Condvar = Condvar::new();
 
 impl Turn {

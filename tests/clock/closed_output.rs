@@ -1,0 +1,18 @@
+//! A reader that closes the output early does not make a measurement or an examination of the host fail.
+
+use kit::closed_output::ends_as_ever;
+use kit::mrroc::{Directory, shorten};
+use kit::processors;
+
+#[test]
+fn a_measurement_ends_as_ever_where_nobody_reads_what_it_prints() {
+    let _share = processors::take(0.5);
+    let directory = Directory::new();
+    let cell = directory.cell("irb6", shorten);
+    ends_as_ever(&[
+        ("doctor", Some(cell.as_os_str())),
+        ("doctor --json", Some(cell.as_os_str())),
+        ("jitter --duration=1s", None),
+        ("jitter --duration=1s --json", None),
+    ]);
+}

@@ -1,0 +1,25 @@
+//! A trace on a full disk, which does not stop the arm.
+
+use serde_json::Value;
+
+use crate::mrroc::{Directory, mrroc, shorten};
+
+/// Runs the IRb-6 with a trace on a full disk. Asserts that the arm completes its program, and that the loss is
+/// reported.
+pub fn does_not_stop_the_arm(bench: &str) {
+    let directory = Directory::new();
+    let cell = directory.cell("irb6", shorten);
+    let words = ["--bench", bench, "--json", "--trace=/dev/full"].map(AsRef::as_ref);
+    let run = mrroc(["run".as_ref(), cell.as_os_str()].into_iter().chain(words));
+    assert_eq!(run.status.code(), Some(1), "{run:?}");
+    let said = "mrroc: --trace: /dev/full: No space left on device (os error 28): the file ends here, and the run \
+                goes on: free space on the disk, or name a file on another disk, and repeat the run\n";
+    assert_eq!(run.stderr, said);
+    let report = run.json();
+    assert_eq!(report["outcome"], "completed", "{report}");
+    assert_eq!(report["faults"], Value::Array(Vec::new()), "{report}");
+    let files = report["incomplete_files"].as_array().unwrap();
+    assert_eq!(files.len(), 1, "{report}");
+    assert_eq!((&files[0]["path"], &files[0]["entries"]), (&"/dev/full".into(), &"frames".into()), "{report}");
+    assert!(files[0]["lost"].as_f64() > Some(1000.0), "{report}");
+}
