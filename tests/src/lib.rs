@@ -15,6 +15,7 @@ pub mod disturbance;
 pub mod doctor;
 pub mod draw;
 pub mod full_disk;
+pub mod held_bar;
 pub mod meetings;
 pub mod motion;
 pub mod mrroc;
