@@ -1,8 +1,6 @@
 //! Nothing allocates while a generator runs, and no sensor of the operator in its steps. Planning allocates only for
 //! contours, time-optimal motions and jerk-limited motions through poses.
 
-mod counting;
-
 use std::f64::consts::FRAC_PI_2;
 use std::sync::Arc;
 use std::time::Duration;
@@ -23,6 +21,8 @@ use mrroc_controller::sensor::{
     Operator, OperatorCommand, OperatorError, OperatorLink, Question, Reaction, Shell, VirtualSensor,
 };
 use servo::{EffectorLink, Order, Phase, ServoReport};
+
+use crate::counting;
 
 /// The IRp-6 without a tool, with the masses of its links.
 fn arm() -> Arm {

@@ -1,9 +1,6 @@
 //! Nothing allocates while two arms carry an object: neither the coordinator, nor the arms, nor their force sensors. Nor
 //! does a poll of light gates allocate.
 
-mod counting;
-mod ideal;
-
 use std::f64::consts::PI;
 use std::time::Duration;
 
@@ -24,7 +21,8 @@ use mrroc_controller::sensor::{
 use nalgebra::{Translation3, UnitQuaternion, Vector3};
 use servo::LawBound;
 
-use ideal::{PERIOD, Sent, team};
+use crate::counting;
+use crate::ideal::{PERIOD, Sent, team};
 
 const AXES: usize = 5;
 const BENT: [f64; 8] = [0.0, -1.571, 0.0, 1.571, 0.0, 0.0, 0.0, 0.0];

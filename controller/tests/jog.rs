@@ -1,7 +1,5 @@
 //! Jog of an IRp-6 by the real servo and the real effector control process on ideal drives, in virtual time.
 
-mod ideal;
-
 use std::f64::consts::FRAC_PI_2;
 use std::sync::Arc;
 use std::time::Duration;
@@ -14,7 +12,7 @@ use mrroc_controller::sensor::{JogCommand, JogHandle, JogPanel, Shell};
 use nalgebra::Vector3;
 use servo::Servo;
 
-use ideal::{PERIOD, Sent, servo};
+use crate::ideal::{PERIOD, Sent, servo};
 
 const AXES: usize = 6;
 const START: Axes = [0.2, -FRAC_PI_2, 0.1, 0.2, 1.2, 0.3, 0.0, 0.0];

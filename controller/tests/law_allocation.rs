@@ -1,7 +1,5 @@
 //! A force law in the servo cycle does not allocate, for any arm, nor when it ends.
 
-mod counting;
-
 use std::f64::consts::FRAC_PI_2;
 use std::sync::Arc;
 use std::time::Duration;
@@ -15,6 +13,8 @@ use mrroc_controller::robot::{
 };
 use nalgebra::{UnitQuaternion, Vector3};
 use servo::{CycleLaw, Knot, LawAxis, LawInput, LawOutput, LawParameters, MAX_AXES, Trail};
+
+use crate::counting;
 
 const PERIOD: Duration = Duration::from_millis(2);
 

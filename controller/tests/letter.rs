@@ -1,8 +1,5 @@
 //! The reference letter of an IRp-6, judged on the set-points that leave the servo.
 
-mod bench;
-mod ideal;
-
 use std::f64::consts::FRAC_PI_2;
 use std::sync::Arc;
 
@@ -12,8 +9,8 @@ use mrroc_controller::path::{BSpline, Curve, Path, SplineEnds};
 use mrroc_controller::robot::{Arm, Irp6, Irp6Parameters};
 use nalgebra::Vector3;
 
-use bench::{Bench, DT};
-use ideal::PERIOD;
+use crate::bench::{Bench, DT};
+use crate::ideal::PERIOD;
 
 const AXES: usize = 6;
 /// Joints in the middle of the workspace, the wrist bent, rad.

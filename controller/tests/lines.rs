@@ -3,11 +3,6 @@
 
 #![allow(clippy::disallowed_methods, reason = "the number of cases is read from the environment")]
 
-mod bench;
-mod ideal;
-#[path = "../src/random.rs"]
-mod random;
-
 use std::f64::consts::FRAC_PI_2;
 use std::sync::Arc;
 
@@ -16,8 +11,8 @@ use mrroc_controller::generator::{Axes, LineLimits, MotionLimits, Pose, Straight
 use mrroc_controller::robot::{Arm, Irp6, Irp6Parameters};
 use nalgebra::Vector3;
 
-use bench::{Bench, DT};
-use random::Random;
+use crate::bench::{Bench, DT};
+use crate::random::Random;
 
 const AXES: usize = 6;
 const CASES: u64 = 100;

@@ -6,11 +6,6 @@
 
 #![allow(clippy::disallowed_methods, reason = "the number of cases is read from the environment")]
 
-mod bench;
-mod ideal;
-#[path = "../src/random.rs"]
-mod random;
-
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::sync::Arc;
 
@@ -21,8 +16,8 @@ use mrroc_controller::generator::{
 use mrroc_controller::robot::{Arm, Polycrank, PolycrankParameters, Space};
 use rsruckig::prelude::{InputParameter, Ruckig, ThrowErrorHandler, Trajectory};
 
-use bench::{Bench, DT};
-use random::Random;
+use crate::bench::{Bench, DT};
+use crate::random::Random;
 
 const AXES: usize = 7;
 const CASES: u64 = 150;

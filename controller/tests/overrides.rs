@@ -6,11 +6,6 @@
 
 #![allow(clippy::disallowed_methods, reason = "the number of cases is read from the environment")]
 
-mod bench;
-mod ideal;
-#[path = "../src/random.rs"]
-mod random;
-
 use std::f64::consts::FRAC_PI_2;
 use std::sync::Arc;
 use std::time::Duration;
@@ -23,8 +18,8 @@ use mrroc_controller::generator::{
 use mrroc_controller::robot::{Arm, Irb6, Irb6Parameters, Space};
 use servo::Phase;
 
-use bench::{Bench, DT};
-use random::Random;
+use crate::bench::{Bench, DT};
+use crate::random::Random;
 
 const AXES: usize = 5;
 const CASES: u64 = 150;

@@ -1,8 +1,5 @@
 //! Nothing allocates while a team moves: neither the steps of coordinator and members, nor the executor and the task.
 
-mod counting;
-mod ideal;
-
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -15,7 +12,8 @@ use mrroc_controller::generator::{
 };
 use mrroc_controller::robot::{Arm, Irb6, Irb6Parameters, Robot};
 
-use ideal::{PERIOD, Sent, team};
+use crate::counting;
+use crate::ideal::{PERIOD, Sent, team};
 
 const AXES: usize = 5;
 /// Macrosteps of the motion, and the amplitude of the columns, rad.

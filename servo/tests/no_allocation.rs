@@ -12,12 +12,11 @@ use can::Instant;
 use can::clock::now;
 use drive::Homing;
 use mrroc_servo::{
-    CycleLaw, Direction, EffectorConfig, FeedForward, FrozenWatch, HomingLeg, HostHoming, HostLoop, Law, LawBound,
-    LawFault, LawInput, LawOutput, LawParameters, MAX_AXES, Macrostep, Order, Output, Phase, PositionLoop, Servo,
-    ServoAxisConfig, ServoConfig, StopCause, Timing, regulator, thread,
+    CycleLaw, Direction, HomingLeg, HostHoming, LawBound, LawFault, LawInput, LawOutput, LawParameters, MAX_AXES,
+    Macrostep, Order, Phase, Servo, ServoConfig, StopCause, Timing, thread,
 };
 
-mod scripted;
+use crate::{alone, scripted};
 
 /// Counts the requests of this thread to the system allocator.
 struct Counting;
@@ -258,6 +257,7 @@ fn teams_barriers_and_their_stops_do_not_allocate() {
 
 #[test]
 fn late_cycles_and_their_bookkeeping_do_not_allocate() {
+    let _alone = alone();
     let mut config = scripted::config(2);
     config.max_missed_in_row = u32::MAX;
     let (group, world) = scripted::group(2);

@@ -1,5 +1,7 @@
 //! The servo thread has no page fault while another process takes memory: its memory is locked.
 //!
+//! The test has a process of its own, because the lock holds for all memory of a process and stays.
+//!
 //! A host with free memory takes no pages away, so the test also looks at new memory: pages of a locked process are
 //! resident as soon as they are mapped.
 //!

@@ -7,7 +7,6 @@
 
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
-use std::sync::{Mutex, PoisonError};
 use std::task::Poll;
 use std::time::Duration;
 
@@ -17,7 +16,7 @@ use drive::{AxisCommand, AxisState, BringUpError, DriveGroup, GroupCounters};
 use mrroc_servo::thread::{self, Cause, CellTime, LateCycle, Realtime, Spike};
 use mrroc_servo::*;
 
-mod scripted;
+use crate::{alone, scripted};
 
 /// The inserted delay: less than half a period, so that no slot is skipped.
 const DELAY: Duration = Duration::from_micros(450);
@@ -30,9 +29,6 @@ const EARLY: Duration = Duration::from_micros(300);
 const EVERY: u64 = 20;
 const PER_RUN: u64 = 3;
 const RUNS: u64 = 14;
-
-/// Runs one test at a time, because the tests take the CPU from each other.
-static ALONE: Mutex<()> = Mutex::new(());
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Plant {
@@ -352,7 +348,7 @@ fn current_cpu() -> usize {
 
 /// Checks that nine of ten delayed cycles have the right cause, at the second attempt at the latest.
 fn check(cases: &[(Plant, Cause)]) {
-    let _alone = ALONE.lock().unwrap_or_else(PoisonError::into_inner);
+    let _alone = alone();
     for &(planted, cause) in cases {
         let first = plant(planted, cause);
         let enough = |(right, of): (u64, u64)| 10 * right >= 9 * of;

@@ -2,12 +2,13 @@
 
 A ring is a list of parts. `quick` needs no root, no network and no clock. `run` is the test command of the README.
 """
+import json
 import os
-import shutil
+import subprocess
 import sys
 
 from . import long
-from .command import Command
+from .command import ROOT, Command
 from .executables import Executables, Messages
 from .schedule import Part
 
@@ -39,13 +40,23 @@ WHOLE = ["-p", "mrroc-console", "-p", "mrroc", "-p", "mrroc-tests"]
 MESSAGES = ["--no-run", "--message-format", "json-render-diagnostics"]
 
 
+def targets():
+    """Names of all targets of integration tests, except those of whole cells."""
+    words = ["cargo", "metadata", "--no-deps", "--offline", "--format-version", "1"]
+    metadata = json.loads(subprocess.run(words, cwd=ROOT, check=True, capture_output=True).stdout)
+    names = {target["name"] for package in metadata["packages"] for target in package["targets"]
+             if target["kind"] == ["test"]}
+    return sorted(names - {"system", "clock"})
+
+
 def unit_parts(only, env=None):
-    """Tests of single crates, in the profile dev."""
+    """Tests of single crates and tests with hooks of the library, in the profile dev."""
     messages = Messages()
-    build = ["cargo", "test", "--workspace", "--exclude", "mrroc-tests", LOCKED, "--lib", "--bins", "--tests", *MESSAGES]
+    chosen = [word for name in targets() for word in ("--test", name)]
+    build = ["cargo", "test", "--workspace", "--features", "mrroc-tests/test-hooks", LOCKED, "--lib", "--bins", *chosen]
     run = Executables(messages, only=only, chosen=lambda name: True, threads=os.cpu_count(), at_once=2, env=env)
     return [
-        Part("build", "build", Command(*build, reader=messages), processors=ALL, lock="target"),
+        Part("build", "build", Command(*build, *MESSAGES, reader=messages), processors=ALL, lock="target"),
         Part("units", "test", run, needs=["build"], processors=ALL),
     ]
 
@@ -80,13 +91,14 @@ def run(only):
         Part("python", "download", Command("tests/install", "python"), needs=["packages"], left_out=peers),
         Part("debian", "download", Command(*root("packaging/test", "prepare")), needs=["packages"], left_out=package),
         format_part(),
-        Part("dependencies", "build", Command("tests/deny/check")),
+        Part("dependencies", "build", Command("tests/deny"), needs=["packages"]),
         release_part(messages),
         Part("peers", "build", Command("tests/install", "peers"), needs=["packages"], processors=ALL, left_out=peers),
         Part("clock", "test", clock, needs=["release", "packages", "kernel", "python", "peers"], processors=0.6),
         Part("readme", "test", Command(sys.executable, "tests/readme"), needs=["release", "clock"], processors=0.6),
         system_part(messages, only),
         *unit_parts(only),
+        Part("outside", "test", Command("tests/outside/run"), needs=["build"], processors=ALL, lock="target"),
         Part("faults", "test", Command("tests/fault-table"), needs=["release"]),
         Part("documented", "test", Command("cargo", "test", "--workspace", LOCKED, "--quiet", "--doc"), needs=["build"],
              processors=ALL, lock="target"),

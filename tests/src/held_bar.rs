@@ -75,16 +75,17 @@ pub fn run(file: &CellFile, task: impl AsyncFn(&mut tasks::Cell) -> Outcome + Se
 }
 
 /// Carries the bar along its course until a fault. `prepare` changes the team before the motion, not in the rehearsal.
-pub fn faulted(
-    prepare: impl Fn(&mut tasks::Team<2>) + Send + Sync + 'static,
-    change: impl FnOnce(&mut Cell),
-) -> Run {
+pub fn faulted(prepare: impl Fn(&mut tasks::Team<2>) + Send + Sync + 'static, change: impl FnOnce(&mut Cell)) -> Run {
     run(&cell(change), async move |cell: &mut tasks::Cell| {
         let mut arms = Arms::of(cell)?;
         let course = arms.path(&COURSE)?;
         arms.take(cell).await?;
         let is_run = !cell.rehearsing();
-        let prepare = |team: &mut tasks::Team<2>| if is_run { prepare(team) };
+        let prepare = |team: &mut tasks::Team<2>| {
+            if is_run {
+                prepare(team)
+            }
+        };
         let outcome = arms.carry(cell, &course, Regulation::CYCLE, prepare).await;
         // The truth shows the arms at rest.
         cell.sleep(std::time::Duration::from_millis(500)).await;

@@ -1,4 +1,5 @@
-//! Programs of users: the examples of the library, and a program that is no member of the workspace.
+//! Programs of users: the examples of the library, and a program that is no member of the workspace. `tests/outside/run`
+//! builds and runs the latter.
 
 use std::fs;
 use std::process::Command;
@@ -69,33 +70,6 @@ fn the_example_of_replanning_turns_back_before_its_first_target() {
     let target = end * 0.8 / -0.3;
     let furthest = motor.iter().map(|at| (at - motor[0]) / target).fold(0.0, f64::max);
     assert!((0.05..0.95).contains(&furthest), "{furthest} of the way");
-}
-
-#[test]
-fn a_program_outside_the_workspace_runs_its_own_generator_in_lockstep() {
-    let package = root().join("tests/outside");
-    // The versions of the workspace, whose registry packages are built already; cargo drops what is not needed.
-    fs::copy(root().join("Cargo.lock"), package.join("Cargo.lock")).unwrap();
-    let built = cargo()
-        .args(["run", "--quiet", "--offline", "--manifest-path"])
-        .arg(package.join("Cargo.toml"))
-        .arg("--config")
-        .arg(package.join("profile.toml"))
-        .arg("--target-dir")
-        .arg(root().join("target"))
-        .arg("--")
-        .arg(root().join("cells/irb6.toml"))
-        .output()
-        .unwrap();
-    let said = String::from_utf8(built.stdout).unwrap();
-    let errors = String::from_utf8_lossy(&built.stderr);
-    assert!(built.status.success(), "{said}{errors}");
-    let error = said
-        .strip_prefix("Completed, column ")
-        .and_then(|rest| rest.strip_suffix(" rad rms\n"))
-        .unwrap_or_else(|| panic!("{said}"));
-    let error: f64 = error.parse().unwrap();
-    assert!(error > 0.0 && error < 0.01, "{said}");
 }
 
 #[test]

@@ -4,7 +4,7 @@
 #![allow(clippy::disallowed_methods, reason = "this measures time")]
 #![allow(clippy::unwrap_used, reason = "a bench")]
 
-#[path = "../tests/scripted/mod.rs"]
+#[path = "../tests/scripted.rs"]
 mod scripted;
 
 use std::fs::File;

@@ -1,10 +1,5 @@
 //! The cycle does not allocate, whatever the drives report: enabling, following, homing, faults.
 #![allow(unsafe_code, reason = "a counting allocator implements an unsafe trait")]
-#![allow(clippy::unwrap_used, reason = "a test")]
-
-#[path = "scripted/board.rs"]
-mod board;
-mod scripted;
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
@@ -26,6 +21,8 @@ use mrroc_drive::wrench::{
     WrenchLink, WrenchNodeConfig, WrenchPdo, ZeroMethod,
 };
 use mrroc_drive::{AxisCommand, AxisState, DriveGroup, Finite, Homing, Power, Scale, Setpoint};
+
+use crate::{board, scripted};
 
 struct Counting;
 

@@ -146,7 +146,10 @@ fn fastscan(rig: &mut Rig) -> Verdict {
             }
         }
         ensure!(number == expected, "number {sub} is {number:#x}, expected {expected:#x}");
-        ensure!(scan(rig, number, 0, sub, (sub + 1) % 4), "number {sub} was not confirmed");
+        let next = (sub + 1) % 4;
+        ensure!(!scan(rig, number ^ 1, 0, sub, next), "number {sub} was confirmed with a wrong bit");
+        ensure!(scan(rig, number, 0, sub, next), "number {sub} was not confirmed");
+        ensure!(!scan(rig, number, 0, sub, sub), "the drive did not go on from number {sub}");
     }
     expect(rig, &[0x5E], &[0x5E, 0xFF])
 }

@@ -204,6 +204,9 @@ fn global(rig: &mut Rig) -> Verdict {
         to_waiting(rig)?;
         ensure!(!in_configuration(rig), "in configuration after 04 00");
     }
+    to_configuration(rig)?;
+    rig.reset(0x82);
+    ensure!(!in_configuration(rig), "in configuration after a reset of the communication");
     Ok(())
 }
 
@@ -283,7 +286,10 @@ fn configure(rig: &mut Rig, id: u8) -> Verdict {
 }
 
 fn node_id_pending(rig: &mut Rig) -> Verdict {
-    configure(rig, 9)?;
+    to_configuration(rig)?;
+    expect(rig, &[0x11, 9], &[0x11, 0])?;
+    expect(rig, &[0x5E], &[0x5E, NODE])?;
+    to_waiting(rig)?;
     rig.pass(100);
     ensure!(answers_as(rig, NODE) && !answers_as(rig, 9), "the node-ID took effect at once");
     let mark = rig.mark();

@@ -198,7 +198,8 @@ fn stops(rig: &mut Rig, (option, value): (u16, i64), command: u16, stop: Stop, s
 
 fn quick_stop(rig: &mut Rig, options: &[i64], stop: Stop, state: Power) -> Verdict {
     for &option in options {
-        stops(rig, (0x605A, option), 0x02, stop, state)?;
+        // Bit 3 has no part in the command.
+        stops(rig, (0x605A, option), 0x0B, stop, state)?;
     }
     Ok(())
 }

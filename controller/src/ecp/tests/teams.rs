@@ -1,6 +1,6 @@
 //! Processes that meet and that move as a team, on the real servo with ideal drives.
 
-#[path = "../../../tests/ideal/mod.rs"]
+#[path = "../../../tests/ideal.rs"]
 pub(crate) mod ideal;
 
 use drive::{DriveGroup, Fault};

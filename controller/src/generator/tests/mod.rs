@@ -79,6 +79,12 @@ fn knot(state: &AxesState, axis: usize) -> Knot {
 
 /// Greatest speed and acceleration of the servo's quintic for a macrostep.
 fn peaks(from: Knot, to: Knot) -> (f64, f64) {
+    // Most macrosteps are at rest or at constant speed. Their quintic is a line.
+    let way = to.position - from.position;
+    let bends = [from.acceleration, to.acceleration, to.velocity - from.velocity, way - from.velocity * MC];
+    if bends.iter().all(|bend| bend.abs() <= 1e-13) {
+        return (from.velocity.abs(), 0.0);
+    }
     let at = (0..=16).map(|sixteenth| quintic(from, to, MC, f64::from(sixteenth) / 16.0));
     at.fold((0.0, 0.0), |(speed, push): (f64, f64), knot| {
         (speed.max(knot.velocity.abs()), push.max(knot.acceleration.abs()))

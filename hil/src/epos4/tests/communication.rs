@@ -179,15 +179,6 @@ fn resets_bring_back_their_part_of_the_dictionary() {
 }
 
 #[test]
-fn heartbeats_come_at_their_period_and_say_the_state() {
-    let mut bench = Bench::booted(config());
-    bench.write("171000", 10, 2);
-    assert_eq!(bench.run(30), ["702#7F"; 3]);
-    bench.say("000#0202");
-    assert_eq!(bench.run(20), ["702#04"; 2]);
-}
-
-#[test]
 fn answers_take_their_delay() {
     let mut bench = Bench::booted(Epos4Config { answer_delay: Duration::from_micros(700), ..config() });
     let begun = bench.now;
@@ -239,61 +230,6 @@ fn a_missing_rpdo_is_a_time_out() {
     assert_eq!(bench.say("402#0F00"), ["082#1082110000000000"]);
     let heard = bench.follow(1, |_| start);
     assert!(heard.contains(&"082#0000000000000000".to_owned()), "{heard:?}");
-}
-
-#[test]
-fn silence_is_answered_as_the_abort_connection_option_says() {
-    // Option, error register of the EMCY, and the state afterwards.
-    for (option, state) in [(0, 0x27), (1, 0x08), (2, 0x40), (3, 0x07)] {
-        let mut bench = Bench::booted(config());
-        bench.write("076000", option, 2);
-        bench.write("161001", 127 << 16 | 20, 4);
-        bench.enable(1);
-        // A node without a first heartbeat is never reported as lost.
-        assert_eq!(bench.run(100), [""; 0]);
-        bench.say("77F#05");
-        assert_eq!(bench.run(100), ["082#3081110000000000"]);
-        let found = bench.statusword() & 0x6F;
-        assert_eq!(found, state, "0x6007 = {option}");
-    }
-}
-
-#[test]
-fn a_communication_error_changes_the_nmt_state_as_0x1029_says() {
-    for (option, state) in [(0, "702#7F"), (1, "702#05"), (2, "702#04")] {
-        let mut bench = Bench::booted(config());
-        bench.write("291001", option, 1);
-        bench.write("161001", 127 << 16 | 20, 4);
-        bench.write("171000", 50, 2);
-        bench.say("000#0102");
-        bench.say("77F#05");
-        let heard = bench.run(100);
-        assert_eq!(heard.last().unwrap(), state, "0x1029:1 = {option}");
-    }
-}
-
-#[test]
-fn transmission_types_decide_when_a_pdo_is_sent() {
-    let mut bench = Bench::booted(config());
-    // Every second SYNC.
-    bench.write("001802", 2, 1);
-    bench.say("000#0102");
-    let heard: Vec<usize> = (0..4).map(|_| bench.say("080#").len()).collect();
-    assert_eq!(heard, [0, 1, 0, 1]);
-    // At a SYNC after a change.
-    bench.say("000#8002");
-    bench.write("001802", 0, 1);
-    bench.say("000#0102");
-    assert_eq!(bench.say("080#"), ["182#4006"]);
-    assert_eq!(bench.say("080#"), [""; 0]);
-    bench.say("202#0600");
-    assert_eq!(bench.say("080#"), ["182#2106"]);
-    // On a change, or when the event timer expires.
-    bench.say("000#8002");
-    bench.write("001802", 255, 1);
-    bench.write("001805", 10, 2);
-    assert_eq!(bench.say("000#0102").len(), 1);
-    assert_eq!(bench.run(50).len(), 5);
 }
 
 #[test]

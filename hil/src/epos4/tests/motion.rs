@@ -3,25 +3,6 @@
 use super::*;
 
 #[test]
-fn a_set_point_takes_effect_at_the_sync_after_it() {
-    let mut bench = Bench::booted(config());
-    bench.cyclic();
-    let start = bench.read("646000");
-    bench.follow(3, |_| start);
-    // Demand 0x6062. Two set-points arrive before one SYNC. The second set-point takes effect, at SYNC.
-    let set = |target: i32| {
-        let bytes: String = target.to_le_bytes().iter().map(|b| format!("{b:02X}")).collect();
-        parse(&format!("402#0F00{bytes}"))
-    };
-    bench.port.send(bench.now, &[set(start + 400), set(start + 20)]).unwrap();
-    bench.run(2);
-    assert_eq!(bench.read("626000"), start);
-    bench.port.send(bench.now, &[parse("080#")]).unwrap();
-    bench.run(5);
-    assert_eq!(bench.read("626000"), start + 20);
-}
-
-#[test]
 fn cyclic_positions_are_followed_and_answered_at_every_sync() {
     let mut bench = Bench::booted(config());
     bench.cyclic();
@@ -112,20 +93,6 @@ fn profile_position_acknowledges_a_set_point_and_reaches_it() {
 }
 
 #[test]
-fn profile_velocity_reaches_its_target_and_halts() {
-    let mut bench = Bench::booted(config());
-    bench.enable(3);
-    bench.write("FF6000", -100, 4);
-    bench.run(500);
-    assert_eq!(bench.statusword() & 0x1400, 0x0400);
-    assert!((bench.read("6C6000") + 100).abs() <= 3);
-    bench.write("406000", 0x010F, 2);
-    bench.run(500);
-    assert_eq!(bench.statusword() & 0x1400, 0x1400);
-    assert!(bench.read("6C6000").abs() <= 1);
-}
-
-#[test]
 fn cyclic_velocity_and_torque_go_straight_to_their_loops() {
     let mut bench = Bench::booted(config());
     bench.enable(9);
@@ -156,42 +123,6 @@ fn a_cyclic_drive_enabled_without_a_set_point_jumps_to_its_old_one() {
     bench.say("000#0102");
     let heard = bench.say("080#");
     assert_eq!(heard.first().unwrap(), "082#1186810000000000");
-}
-
-#[test]
-fn commands_brake_on_the_ramp_of_their_option() {
-    // Controlword, option and its value, and the duration of braking to standstill from 100 rpm.
-    let cases: [(i64, &str, i64, u64); 4] = [
-        // Disable operation and shutdown on the ramp 0x6084, 500 rpm/s.
-        (0x07, "5C6000", 1, 200),
-        (0x06, "5B6000", 1, 200),
-        // Quick stop on the ramp 0x6084, and on the ramp 0x6085, 1000 rpm/s.
-        (0x0B, "5A6000", 5, 200),
-        (0x0B, "5A6000", 2, 100),
-    ];
-    for (word, option, value, millis) in cases {
-        let mut bench = Bench::booted(config());
-        bench.write(option, value, 2);
-        bench.write("846000", 500, 4);
-        bench.write("856000", 1000, 4);
-        bench.enable(3);
-        bench.write("FF6000", 100, 4);
-        bench.run(300);
-        bench.write("406000", word, 2);
-        bench.run(millis / 2 - 5);
-        let halfway = bench.read("6B6000");
-        assert!((40..=60).contains(&halfway), "{option} {value}: {halfway}");
-        bench.run(millis / 2 + 10);
-        let state = bench.statusword() & 0x6F;
-        let expected = match (word, value) {
-            (0x07, _) => 0x23,
-            (0x06, _) => 0x21,
-            (_, 5) => 0x07,
-            _ => 0x40,
-        };
-        assert_eq!(state, expected, "{option} {value}");
-        assert!(bench.read("6C6000").abs() <= 5);
-    }
 }
 
 #[test]
@@ -278,18 +209,6 @@ fn a_limit_switch_is_a_fault_from_which_one_can_drive_away() {
     bench.enable(3);
     assert_eq!(bench.run(1000), [""; 0]);
     assert_eq!(bench.read("FD6000"), 0);
-}
-
-#[test]
-fn finer_velocity_units_scale_targets_and_answers() {
-    let mut bench = Bench::booted(config());
-    bench.write("A96000", 0xFDB4_4700, 4);
-    bench.write("7F6000", 50_000_000, 4);
-    bench.write("806000", 50_000_000, 4);
-    bench.enable(3);
-    bench.write("FF6000", 100_500, 4);
-    bench.run(500);
-    assert!((bench.read("6C6000") - 100_500).abs() <= 3_000);
 }
 
 #[test]

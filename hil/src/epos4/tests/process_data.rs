@@ -63,22 +63,6 @@ fn a_good_rpdo_ends_no_error_of_another() {
     assert_eq!(bench.read("011000"), 0);
 }
 
-/// The reception before the event timer was switched on starts nothing (CiA 301 §7.5.2.35).
-#[test]
-fn a_deadline_counts_from_the_next_reception_after_it_is_switched_on() {
-    let mut bench = Bench::booted(config());
-    bench.write("076000", 0, 2);
-    bench.write("021401", 0x0000_0402, 4);
-    bench.say("000#0102");
-    bench.say("402#060000000000");
-    bench.run(100);
-    bench.write("021405", 10, 2);
-    assert_eq!(bench.run(100), [""; 0]);
-    assert_eq!(bench.read("011000"), 0);
-    bench.say("402#060000000000");
-    assert_eq!(bench.run(30), [OVERDUE]);
-}
-
 #[test]
 fn an_rpdo_that_is_not_watched_any_more_is_not_overdue() {
     // The event timer is switched off, then the PDO itself.

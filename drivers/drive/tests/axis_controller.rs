@@ -1,13 +1,10 @@
 //! Serial axis controllers in both protocols: telegrams, accepted answers and faults.
-#![allow(clippy::unwrap_used, reason = "a test")]
 
 mod belief;
 mod bring_up;
 mod commands;
 mod emergency_stops;
 mod faults;
-#[path = "../scripted/mod.rs"]
-mod scripted;
 
 use std::f64::consts::TAU;
 use std::task::Poll;
@@ -21,9 +18,10 @@ use mrroc_drive::axis_controller::{
 use mrroc_drive::{
     AxisCommand, AxisState, BringUpError, DriveGroup, Fault, Finite, Homing, Power, Refusal, Scale, Setpoint,
 };
-use scripted::{Drive, Shared};
 use serial::LineError;
 use serial::nfv2::{Mode, Status};
+
+use crate::scripted::{Drive, Shared};
 
 const PERIOD: Duration = Duration::from_millis(2);
 const BOTH: [Protocol; 2] = [Protocol::Nfv2, Protocol::HiMoxa];

@@ -1,7 +1,5 @@
 //! A scripted controller board of a force/torque sensor, built from the facts about its telegrams alone.
 
-#![allow(dead_code, reason = "each test takes what it needs")]
-
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 

@@ -64,7 +64,6 @@ impl<const N: usize> Bench<N> {
     }
 
     /// Lets the robot stand until motion time has this rate.
-    #[allow(dead_code, reason = "only tests of overrides wait for a rate")]
     pub(crate) fn settle(&mut self, rate: f64) {
         for _ in 0..LONGEST {
             if self.ecp.latest().rate == rate {

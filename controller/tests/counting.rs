@@ -1,7 +1,5 @@
 //! The system's allocator, with counts of the allocations and releases of each thread.
 
-#![allow(dead_code, reason = "each test takes what it needs")]
-
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 

@@ -1,8 +1,5 @@
 //! Force/torque sensors on serial lines: bring-up, samples, zero and faults.
-#![allow(clippy::unwrap_used, reason = "a test")]
 
-#[path = "../scripted/board.rs"]
-mod board;
 mod bring_up;
 mod faults;
 mod samples;
@@ -11,7 +8,6 @@ mod zero;
 use std::task::Poll;
 use std::time::Duration;
 
-use board::{Board, SharedBoard};
 use can::Instant;
 use mrroc_drive::wrench::{
     Channel, ConfigError, SerialWrenchConfig, SerialWrenchSensor, WrenchAxis, WrenchConfig, WrenchError, WrenchFault,
@@ -19,6 +15,8 @@ use mrroc_drive::wrench::{
 };
 use mrroc_drive::{BringUpError, DriveGroup};
 use serial::LineError;
+
+use crate::board::{Board, SharedBoard};
 
 const PERIOD: Duration = Duration::from_millis(2);
 

@@ -1,5 +1,4 @@
 //! Ultrasonic matrices on serial lines: bring-up, scans and faults.
-#![allow(clippy::unwrap_used, reason = "a test")]
 
 mod bring_up;
 mod faults;
