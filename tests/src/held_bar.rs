@@ -4,7 +4,7 @@ use std::fs;
 use std::path::Path;
 
 use ::mrroc::bench::BenchKind;
-use ::mrroc::carry::Regulation;
+use ::mrroc::carry::{ObjectPath, Regulation};
 use ::mrroc::cell::{Cell, CellFile};
 use ::mrroc::prelude::{Outcome, RunOutcome};
 use ::mrroc::report::RunReport;
@@ -13,11 +13,21 @@ use ::mrroc::tasks::{self, Program};
 use nalgebra::Vector3;
 
 use crate::mrroc::Directory;
-use hold_bar::{Arms, COURSE};
+use hold_bar::{Arms, COURSE, LIMITS};
 
 #[path = "../../examples/hold_bar.rs"]
-#[expect(dead_code, unreachable_pub, reason = "the program of the example has a main of its own")]
-pub mod hold_bar;
+#[expect(dead_code, reason = "the program of the example has a main of its own")]
+mod hold_bar;
+
+/// The task of the example.
+pub async fn hold(cell: &mut tasks::Cell) -> Outcome {
+    hold_bar::hold(cell).await
+}
+
+/// The course of the example.
+pub fn course() -> ObjectPath {
+    ObjectPath::through(&COURSE, &LIMITS).unwrap()
+}
 
 /// The bar and its grips at one time.
 #[derive(Clone, Copy, Debug)]

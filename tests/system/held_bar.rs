@@ -1,14 +1,8 @@
 //! Two arms that hold one bar: path, internal force, and stops after faults, by the truth of the emulated scene.
 
 use ::mrroc::bench::BenchKind;
-use ::mrroc::carry::ObjectPath;
 use ::mrroc::prelude::RunOutcome;
-use kit::held_bar::hold_bar::{self, COURSE, LIMITS};
-use kit::held_bar::{Run, cell, check_stop, faulted, run};
-
-fn course() -> ObjectPath {
-    ObjectPath::through(&COURSE, &LIMITS).unwrap()
-}
+use kit::held_bar::{Run, cell, check_stop, course, faulted, hold, run};
 
 /// Root of the mean square, and greatest value.
 fn rms_and_peak(values: impl Iterator<Item = f64>) -> [f64; 2] {
@@ -21,7 +15,7 @@ fn rms_and_peak(values: impl Iterator<Item = f64>) -> [f64; 2] {
 
 #[test]
 fn a_bar_is_carried_within_the_bounds_of_path_and_internal_force() {
-    let Run { report, truth, .. } = run(&cell(|_| ()), hold_bar::hold);
+    let Run { report, truth, .. } = run(&cell(|_| ()), hold);
     assert_eq!(report.outcome, RunOutcome::Completed, "{:?}", report.faults);
     let figure = |name: &str| report.figures[name];
     assert_eq!(figure("start_skew_cycles_max"), 0.0);
@@ -78,7 +72,7 @@ fn a_drive_that_trips_stops_both_arms_and_does_not_tear_the_bar() {
 #[test]
 fn a_bar_that_does_not_reach_is_refused_in_one_line_before_motion() {
     let file = cell(|cell| cell.robot[1].base.position[0] = 3.0);
-    let error = ::mrroc::run(&file, BenchKind::Lockstep, hold_bar::hold).unwrap_err();
+    let error = ::mrroc::run(&file, BenchKind::Lockstep, hold).unwrap_err();
     let said = format!("{error:#}");
     assert!(
         said.contains("the grip of member 1 does not reach (1.500, 0.000, 0.860) m of the cell at 0.00 s"),

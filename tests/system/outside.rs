@@ -4,7 +4,7 @@
 use std::fs;
 use std::process::Command;
 
-use kit::mrroc::{Directory, cargo, example_program, root};
+use kit::mrroc::{Directory, example_program, root};
 
 #[test]
 fn the_example_generator_swings_out_and_comes_back_to_where_it_began() {
