@@ -29,6 +29,8 @@ pub use crate::machine::{Cancellation, MachineError, Options};
 const KERNEL: &str = "/usr/bin/linux.uml";
 const MODULES: &str = "/usr/lib/uml/modules";
 const INIT: &str = include_str!("uml-init.sh");
+/// The library of `uml-ptrace.c`.
+const PTRACE: &[u8] = include_bytes!(concat!(env!("OUT_DIR"), "/uml-ptrace.so"));
 /// Maximum size of the stored boot messages, which are shown if the boot fails.
 const BOOT_LOG_BYTES: usize = 64 << 10;
 
@@ -88,6 +90,7 @@ pub fn run(options: &Options, stdout: &mut dyn Write) -> Result<u8, UmlError> {
 /// Writes the files that the machine's first process reads.
 fn write(control: &Control, options: &Options) -> io::Result<()> {
     let file = |name| control.path.join(name);
+    fs::write(file("ptrace.so"), PTRACE)?;
     fs::write(file("init"), INIT)?;
     fs::set_permissions(file("init"), fs::Permissions::from_mode(0o755))?;
     fs::write(file("mounts"), mount_script(control, options)?)?;
@@ -116,6 +119,8 @@ fn mount_script(control: &Control, options: &Options) -> io::Result<Vec<u8>> {
 fn machine(control: Control, options: &Options) -> io::Result<Machine> {
     let directory = control.path.display();
     let command = [
+        "env",
+        &format!("LD_PRELOAD={directory}/ptrace.so"),
         KERNEL,
         "root=/dev/root",
         "rootfstype=hostfs",

@@ -80,6 +80,9 @@ def warning():
     old = []
     for name, row in rows().items():
         commit = row[6].split()[0]
+        if commit == "-":
+            old.append(f"{name} was never run")
+            continue
         changes = git("rev-list", "--count", f"{commit}..HEAD", "--", *JUDGED)
         if changes is None:
             old.append(f"{name} judges the commit {commit}, which this clone does not have")
