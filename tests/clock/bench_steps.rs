@@ -11,13 +11,14 @@ use std::thread;
 use std::time::Duration;
 
 use ::mrroc::cell::Cell;
-use kit::bench::{on_vcan_within, patient_turn};
+use kit::bench::in_uml;
+use kit::by_the_clock;
 use kit::mrroc::{Directory, Output, Running, example_program, text};
 use kit::slow;
 use kit::steps::{self, Line, lines};
 use serde_json::json;
 
-use crate::cells_on_vcan::{Interfaces, overloaded};
+use crate::cells_on_vcan::Interfaces;
 use crate::vcan::started;
 
 /// One example per class, 0 to 7, and an example of force control, with their cells.
@@ -36,8 +37,9 @@ const EXAMPLES: [(&str, &str); 9] = [
 /// Time limit of all runs in the test machine.
 const LONGEST: Duration = Duration::from_secs(500);
 
-/// Number of runs of an example on a disturbed host.
-const ATTEMPTS: usize = 8;
+/// Servo period of the cells, and mean use of processors by a run.
+const SLOW: Duration = Duration::from_millis(20);
+const PROCESSORS: f64 = 0.2;
 
 /// What a step does.
 #[derive(Debug, PartialEq)]
@@ -98,36 +100,24 @@ fn patient(cell: &mut Cell, edge: f64) {
     }
 }
 
-/// Whether the host disturbed a run that failed: a missed cycle, or the signs of [`overloaded`].
-fn disturbed(output: &Output) -> bool {
-    let missed = || output.json()["cycle"]["missed"].as_u64() > Some(0);
-    output.status.code() == Some(1) && (missed() || overloaded(output))
-}
-
-/// Runs an example on a bench by the clock, again if the host disturbed the run, and compares its steps with those in lockstep.
+/// Runs an example on a bench by the clock, and compares its steps with those in lockstep.
 fn check(program: &str, cell: &Path, directory: &Directory, run: impl Fn(&[OsString]) -> Output) {
     let file = directory.path("clock.csv");
     let arguments = [cell.into(), "--json".into(), "--force".into(), "--steps".into(), file.clone().into()];
     let (in_lockstep, ..) = steps::run(program, cell);
     let agents: BTreeSet<_> = lines(&in_lockstep).map(|line| line.agent).collect();
-    for attempt in 1..=ATTEMPTS {
+    by_the_clock(PROCESSORS, SLOW, || {
         let output = run(&arguments);
-        if disturbed(&output) && attempt < ATTEMPTS {
-            println!("{program}: again, the host disturbed the run");
-            continue;
-        }
         assert_eq!(output.status.code(), Some(0), "{program}: {output:?}");
         let report = output.json();
         assert_eq!((&report["outcome"], &report["faults"]), (&json!("completed"), &json!([])), "{program}: {report}");
         let by_clock = std::fs::read_to_string(&file).unwrap();
-        let Err(difference) = compare(&agents, &in_lockstep, &by_clock) else {
-            println!("{program} on {}: {agents:?}, {} events", report["bench"], by_clock.lines().count());
-            return;
-        };
         // An emulated edge has a fixed time, which a motion of a late program may miss.
-        println!("{program} on {}: {difference}", report["bench"]);
-    }
-    panic!("{program}: {ATTEMPTS} runs have other steps than in lockstep, or were disturbed");
+        if let Err(difference) = compare(&agents, &in_lockstep, &by_clock) {
+            panic!("{program} on {}: {difference}", report["bench"]);
+        }
+        println!("{program} on {}: {agents:?}, {} events", report["bench"], by_clock.lines().count());
+    });
 }
 
 /// Compares the steps of the agents in lockstep with those of a run by the clock.
@@ -144,7 +134,6 @@ fn compare(agents: &BTreeSet<&str>, in_lockstep: &str, by_clock: &str) -> Result
 
 #[test]
 fn an_example_of_each_class_has_the_steps_of_lockstep_on_emulated_buses_by_the_clock() {
-    let _turn = patient_turn();
     // Most of their time the programs wait.
     thread::scope(|scope| {
         for (program, cell) in EXAMPLES {
@@ -160,7 +149,6 @@ fn an_example_of_each_class_has_the_steps_of_lockstep_on_emulated_buses_by_the_c
 
 #[test]
 fn an_example_has_the_steps_of_lockstep_on_pseudo_terminals_by_the_clock() {
-    let _turn = patient_turn();
     for program in ["own_generator", "first_program"] {
         let directory = Directory::new();
         let cell = directory.cell("irb6-serial", crate::serial_cli::patient);
@@ -171,8 +159,7 @@ fn an_example_has_the_steps_of_lockstep_on_pseudo_terminals_by_the_clock() {
 #[test]
 fn an_example_of_each_class_has_the_steps_of_lockstep_on_vcan() {
     const TEST: &str = "bench_steps::an_example_of_each_class_has_the_steps_of_lockstep_on_vcan";
-    let _turn = patient_turn();
-    on_vcan_within(LONGEST, TEST, |_| {
+    in_uml(LONGEST, TEST, |_| {
         for (program, cell) in EXAMPLES {
             let directory = Directory::new();
             let mut parsed = Cell::parse(&text(cell)).unwrap();

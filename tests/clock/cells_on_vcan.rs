@@ -4,24 +4,25 @@
 //! Required with `HIL_CAN` set: root privileges, to add virtual interfaces.
 
 use std::ffi::OsString;
+use std::path::Path;
 use std::process::Command;
 use std::time::Duration;
 
 use ::mrroc::cell::Cell;
-use kit::bench::{on_vcan_within, patient_turn};
+use kit::bench::in_uml;
+use kit::by_the_clock;
 use kit::mrroc::{self, Directory, Output, Running};
+use kit::processors::ALL;
 use kit::slow::slower;
 use serde_json::json;
 
 use crate::vcan::{started, wait_until};
 
-/// Number of runs of a cell on an overloaded machine, and the time limit of all runs.
-const ATTEMPTS: usize = 8;
-
+/// Time limit of all runs in the test machine.
 pub(crate) const LONGEST: Duration = Duration::from_secs(600);
 
 /// File with every axis in every cycle of the last run.
-pub(crate) const RECORD: &str = "states.csv";
+const RECORD: &str = "states.csv";
 
 /// One interface for each bus of a cell, removed on drop.
 pub(crate) struct Interfaces(Vec<(String, String)>);
@@ -66,19 +67,20 @@ fn ip(arguments: &[&str]) {
 }
 
 /// Runs example cell `name`, modified by `change`, as two processes. Asserts that the run completes without faults and
-/// with all axes homed. The record is in `directory`.
-pub(crate) fn completes(name: &str, directory: &Directory, change: impl FnOnce(&mut Cell)) {
+/// with all axes homed. `judge_record` judges the record.
+pub(crate) fn completes(name: &str, change: impl FnOnce(&mut Cell), judge_record: impl Fn(&Path)) {
+    let directory = Directory::new();
     let cell = slower(name, change);
     directory.write("cell.toml", &toml::to_string(&cell).unwrap());
     let interfaces = Interfaces::of(&cell);
-    let mut output = run(directory, &cell, &interfaces);
-    for _ in 1..ATTEMPTS {
-        if !overloaded(&output) {
-            break;
-        }
-        println!("{name}: again, the machine was overloaded");
-        output = run(directory, &cell, &interfaces);
-    }
+    by_the_clock(ALL, cell.period(), || {
+        judge(name, &cell, &run(&directory, &cell, &interfaces));
+        judge_record(&directory.path(RECORD));
+    });
+}
+
+/// Asserts that a run completed.
+fn judge(name: &str, cell: &Cell, output: &Output) {
     assert_eq!(output.status.code(), Some(0), "{name}: {output:?}");
     let report = output.json();
     assert_eq!(report["outcome"], "completed", "{name}: {report}");
@@ -125,34 +127,12 @@ fn run(directory: &Directory, cell: &Cell, interfaces: &Interfaces) -> Output {
     mrroc::mrroc(arguments)
 }
 
-/// Whether a run stopped because processor time was missing, which is permitted on an overloaded machine.
-///
-/// According to the report of the run, at least one cycle in a hundred ended more than a period after its deadline, or
-/// answers were missing. A cycle does not wait, and the emulators answer every cycle, so the processor was taken from
-/// one of them. A defect that causes either fails every attempt.
-pub(crate) fn overloaded(output: &Output) -> bool {
-    if output.status.code() != Some(1) {
-        return false;
-    }
-    let report = output.json();
-    println!("{}", report["faults"]);
-    let cycle = &report["cycle"];
-    let [wake, step] = ["wake_us", "step_us"].map(|of| cycle[of]["p99"].as_f64().unwrap_or(0.0));
-    let late = wake + step > cycle["period_us"].as_f64().unwrap();
-    let buses = report["buses"].as_array().unwrap().iter();
-    let missed: u64 = buses.filter_map(|bus| bus["missed_answers"].as_u64()).sum();
-    late || missed > 0
-}
-
 #[test]
 fn every_other_cell_on_can_completes() {
-    let _turn = patient_turn();
     let test = "cells_on_vcan::every_other_cell_on_can_completes";
-    on_vcan_within(LONGEST, test, |_| {
+    in_uml(LONGEST, test, |_| {
         for name in ["irp6", "irp6-track", "rnt", "polycrank", "irb6-touch"] {
-            completes(name, &Directory::new(), |cell| {
-                cell.robot[0].program.truncate(1);
-            });
+            completes(name, |cell| cell.robot[0].program.truncate(1), |_| {});
         }
     });
 }

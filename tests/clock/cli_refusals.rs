@@ -7,18 +7,22 @@ use hil::epos4::{Epos4, Epos4Config};
 use hil::{AxisConfig, Device};
 use kit::adapter::Adapter;
 use kit::mrroc::{Directory, enables, mrroc, text, trace};
+use kit::processors;
 use kit::refusals::refused;
+use kit::{PERIOD, by_the_clock};
 
 #[test]
 fn by_the_wall_clock_as_well_no_drive_is_switched_on_that_is_another() {
-    let directory = Directory::new();
-    let cell = directory.cell("irb6", |cell| cell.robot[0].axis[2].emulator.vendor = Some(0x1234));
-    let log = directory.path("drives.log");
-    let run = mrroc(["run".as_ref(), cell.as_os_str(), "--trace".as_ref(), log.as_os_str()]);
-    refused(&run, &["bus arm, axis upper-arm: node 3: ", "0x1018:01", "0x00001234", "0x000000fb"]);
-    let frames = trace(&log);
-    assert!(!frames.is_empty());
-    assert_eq!(enables(&frames), 0);
+    by_the_clock(0.25, PERIOD, || {
+        let directory = Directory::new();
+        let cell = directory.cell("irb6", |cell| cell.robot[0].axis[2].emulator.vendor = Some(0x1234));
+        let log = directory.path("drives.log");
+        let run = mrroc(["run".as_ref(), cell.as_os_str(), "--trace".as_ref(), log.as_os_str()]);
+        refused(&run, &["bus arm, axis upper-arm: node 3: ", "0x1018:01", "0x00001234", "0x000000fb"]);
+        let frames = trace(&log);
+        assert!(!frames.is_empty());
+        assert_eq!(enables(&frames), 0);
+    });
 }
 
 /// An emulated EPOS4 with additional or replaced objects. They are the ratio objects of CiA 402-2, which no EPOS4 has.
@@ -82,6 +86,7 @@ const SCALES: &[Scale] = &[
 
 #[test]
 fn a_drive_whose_own_ratios_are_not_the_cells_is_refused_on_a_bus_and_not_switched_on() {
+    let _share = processors::take(0.25);
     let directory = Directory::new();
     let cell = directory.cell("lab", |cell| {
         cell.robot.retain(|robot| robot.name == "conveyor");

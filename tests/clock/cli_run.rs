@@ -5,85 +5,91 @@ use std::fs;
 use std::process::Command;
 
 use ::mrroc::cell::{Cell, Plant};
-use kit::bench::turn;
 use kit::full_disk;
 use kit::mrroc::{Directory, Output, Running, example, mrroc, shorten, text};
+use kit::{PERIOD, by_the_clock};
 use serde_json::Value;
 
 #[test]
 fn the_wall_clock_bench_completes_without_a_fault() {
-    let _turn = turn();
-    let run = mrroc(["run".as_ref(), example("irp6").as_os_str(), "--json".as_ref()]);
-    assert_eq!(run.status.code(), Some(0), "{run:?}");
-    let report = run.json();
-    assert_eq!(report["outcome"], "completed");
-    assert_eq!(report["bench"], "emulated");
-    assert_eq!(report["faults"], Value::Array(Vec::new()));
-    assert_eq!(report["lost_records"], 0);
-    let factor = number(&report["realtime_factor"]);
-    assert!((0.9..1.1).contains(&factor), "{report}");
-    let seconds = number(&report["cycle"]["cycles"]) * 0.002;
-    assert!(seconds < 60.0, "{seconds} s");
+    by_the_clock(0.3, PERIOD, || {
+        let run = mrroc(["run".as_ref(), example("irp6").as_os_str(), "--json".as_ref()]);
+        assert_eq!(run.status.code(), Some(0), "{run:?}");
+        let report = run.json();
+        assert_eq!(report["outcome"], "completed");
+        assert_eq!(report["bench"], "emulated");
+        assert_eq!(report["faults"], Value::Array(Vec::new()));
+        assert_eq!(report["lost_records"], 0);
+        let factor = number(&report["realtime_factor"]);
+        assert!((0.9..1.1).contains(&factor), "{report}");
+        let seconds = number(&report["cycle"]["cycles"]) * 0.002;
+        assert!(seconds < 60.0, "{seconds} s");
+    });
 }
 
 #[test]
 fn ctrl_c_in_motion_brakes_the_arm() {
-    let _turn = turn();
-    stops_in_motion("INT");
+    by_the_clock(0.25, PERIOD, || {
+        stops_in_motion("INT");
+    });
 }
 
 #[test]
 fn sigterm_in_motion_brakes_the_arm() {
-    let _turn = turn();
-    stops_in_motion("TERM");
+    by_the_clock(0.25, PERIOD, || {
+        stops_in_motion("TERM");
+    });
 }
 
 #[test]
 fn ctrl_c_while_homing_ends_the_run_at_once() {
-    let _turn = turn();
-    let (run, record) = interrupted("INT", |_| {}, "Homing", 200);
-    stopped(&run);
-    let last = record.lines().last().unwrap();
-    assert!(last.contains(",Off,"), "{last}");
-    let cycles = number(&run.json()["cycle"]["cycles"]);
-    assert!(cycles < 2500.0, "{cycles} cycles for a stop after 200 of 5000");
+    by_the_clock(0.25, PERIOD, || {
+        let (run, record) = interrupted("INT", |_| {}, "Homing", 200);
+        stopped(&run);
+        let last = record.lines().last().unwrap();
+        assert!(last.contains(",Off,"), "{last}");
+        let cycles = number(&run.json()["cycle"]["cycles"]);
+        assert!(cycles < 2500.0, "{cycles} cycles for a stop after 200 of 5000");
+    });
 }
 
 #[test]
 fn a_file_on_a_full_disk_does_not_stop_the_arm_by_the_clock() {
-    let _turn = turn();
-    full_disk::does_not_stop_the_arm("emulated");
+    by_the_clock(0.25, PERIOD, || {
+        full_disk::does_not_stop_the_arm("emulated");
+    });
 }
 
 #[test]
 fn a_stalled_trace_does_not_hold_up_a_stop() {
-    let _turn = turn();
-    let directory = Directory::new();
-    let [trace, record] = ["trace", "axes.csv"].map(|name| directory.path(name));
-    let made = Command::new("mkfifo").arg(&trace).status();
-    assert!(made.unwrap().success());
-    // The pipe is open for writing and is never read.
-    let pipe = fs::File::options().read(true).write(true).open(&trace);
-    let run = Running::start([
-        "run".as_ref(),
-        example("irb6").as_os_str(),
-        "--json".as_ref(),
-        "--trace".as_ref(),
-        trace.as_os_str(),
-        "--record".as_ref(),
-        record.as_os_str(),
-    ]);
-    // One thread writes both files. Once the pipe is full, the record stops growing.
-    run.wait_until_stalled(&record, |text| text.contains(",Homing,"));
-    run.signal("INT");
-    let output = run.output();
-    assert_eq!(output.status.code(), Some(1), "{output:?}");
-    let report = output.json();
-    assert_eq!(report["outcome"], "faulted", "{report}");
-    let faults = report["faults"].as_array().unwrap();
-    assert_eq!(faults.len(), 1, "{report}");
-    assert_eq!(faults[0]["what"], "the trace or the record cannot be written in time");
-    drop(pipe);
+    by_the_clock(0.25, PERIOD, || {
+        let directory = Directory::new();
+        let [trace, record] = ["trace", "axes.csv"].map(|name| directory.path(name));
+        let made = Command::new("mkfifo").arg(&trace).status();
+        assert!(made.unwrap().success());
+        // The pipe is open for writing and is never read.
+        let pipe = fs::File::options().read(true).write(true).open(&trace);
+        let run = Running::start([
+            "run".as_ref(),
+            example("irb6").as_os_str(),
+            "--json".as_ref(),
+            "--trace".as_ref(),
+            trace.as_os_str(),
+            "--record".as_ref(),
+            record.as_os_str(),
+        ]);
+        // One thread writes both files. Once the pipe is full, the record stops growing.
+        run.wait_until_stalled(&record, |text| text.contains(",Homing,"));
+        run.signal("INT");
+        let output = run.output();
+        assert_eq!(output.status.code(), Some(1), "{output:?}");
+        let report = output.json();
+        assert_eq!(report["outcome"], "faulted", "{report}");
+        let faults = report["faults"].as_array().unwrap();
+        assert_eq!(faults.len(), 1, "{report}");
+        assert_eq!(faults[0]["what"], "the trace or the record cannot be written in time");
+        drop(pipe);
+    });
 }
 
 pub(crate) fn stopped(run: &Output) {

@@ -21,8 +21,8 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use kit::bench::turn;
 use kit::mrroc::{self, Directory, Output, Running, shorten};
+use kit::{PERIOD, by_the_clock, processors};
 use serde_json::Value;
 use servo::thread::Wait;
 
@@ -107,8 +107,8 @@ fn surplus(calls: &Calls, exchange: &[(&str, u64)], cycles: u64, missed: u64, re
     surplus.map(|(name, count)| format!("{count} × {name}")).collect()
 }
 
-/// Number of runs on a slow host.
-const ATTEMPTS: usize = 5;
+/// Mean use of processors by a run under strace.
+const PROCESSORS: f64 = 0.6;
 
 /// Minimum number of cycles for a meaningful run.
 const LEAST: u64 = 100;
@@ -174,21 +174,21 @@ fn run(directory: &Directory, cell: &Path, more: &[&str]) -> (PathBuf, Output) {
 /// The emulated drives are simulated in the servo thread, between cycles, and make no system calls either.
 #[test]
 fn a_cycle_on_an_emulated_bus_makes_no_call_but_the_wait() {
-    let _turn = turn();
     let directory = Directory::new();
     for (name, wait) in [("plain", Wait::Plain), ("hybrid", Wait::Hybrid)] {
         let cell = directory.cell("irb6", |cell| {
             shorten(cell);
             cell.realtime.wait = wait;
         });
-        let (log, output) = run(&directory, &cell, &[]);
-        check(name, &log, &output, &[]);
+        by_the_clock(PROCESSORS, PERIOD, || {
+            let (log, output) = run(&directory, &cell, &[]);
+            check(name, &log, &output, &[]);
+        });
     }
 }
 
 #[test]
 fn a_cycle_on_serial_lines_makes_one_call_each_way_per_line_and_the_wait() {
-    let _turn = turn();
     let directory = Directory::new();
     let cell = directory.cell("irb6-serial", |cell| {
         shorten(cell);
@@ -198,28 +198,18 @@ fn a_cycle_on_serial_lines_makes_one_call_each_way_per_line_and_the_wait() {
         cell.max_missed_in_row = 500;
     });
     let ttys = directory.path("ttys");
-    let _emulator = emulate(&cell, &ttys);
     let serial = format!("--serial={}", ttys.display());
-    let (log, output) = attempts(|| run(&directory, &cell, &["--bench=card", &serial]));
-    check("ttys", &log, &output, &[("read", 5), ("write", 5)]);
-}
-
-/// Runs again while a run has too few cycles: under strace on a slow processor, the drives may answer too late.
-fn attempts(attempt: impl Fn() -> (PathBuf, Output)) -> (PathBuf, Output) {
-    let says_nothing =
-        |output: &Output| output.json()["cycle"]["cycles"].as_u64().is_some_and(|cycles| cycles <= LEAST);
-    let mut tried = attempt();
-    for _ in 1..ATTEMPTS {
-        if !says_nothing(&tried.1) {
-            break;
-        }
-        tried = attempt();
-    }
-    tried
+    by_the_clock(PROCESSORS, PERIOD, || {
+        let _ = fs::remove_dir_all(&ttys);
+        let _emulator = emulate(&cell, &ttys);
+        let (log, output) = run(&directory, &cell, &["--bench=card", &serial]);
+        check("ttys", &log, &output, &[("read", 5), ("write", 5)]);
+    });
 }
 
 /// Starts `mrroc emulate --serial` and waits until all its ttys exist.
 pub(crate) fn emulate(cell: &Path, ttys: &Path) -> Running {
+    processors::precede();
     let arguments = ["emulate".as_ref(), cell.as_os_str(), "--serial".as_ref(), ttys.as_os_str()];
     let emulator = Running::start(arguments);
     crate::vcan::wait_until("its ttys are there", || ttys.join("wrist-roll").exists());
@@ -230,11 +220,8 @@ pub(crate) fn emulate(cell: &Path, ttys: &Path) -> Running {
 fn a_cycle_on_a_can_bus_sends_once_receives_once_and_waits_once() {
     on_stage("cycle_calls::a_cycle_on_a_can_bus_sends_once_receives_once_and_waits_once", |stage| {
         let cell = stage.directory.path("cell.toml");
-        let (log, output) = attempts(|| {
-            let _emulators = stage.start_emulators();
-            let options = ["--bench=vcan", "--can", stage.interface];
-            run(&stage.directory, &cell, &options)
-        });
+        let _emulators = stage.start_emulators();
+        let (log, output) = run(&stage.directory, &cell, &["--bench=vcan", "--can", stage.interface]);
         check("vcan", &log, &output, &[("recvmmsg", 1), ("sendmmsg", 1)]);
     });
 }
@@ -242,6 +229,7 @@ fn a_cycle_on_a_can_bus_sends_once_receives_once_and_waits_once() {
 /// A free lock and a small allocation make no system call. The other two methods detect them.
 #[test]
 fn a_call_that_is_planted_in_the_cycle_is_found_by_its_name() {
+    let _share = processors::take(0.4);
     let directory = Directory::new();
     let planting = mrroc::planted();
     for (planted, expected) in [("nothing", None), ("lock", Some("futex")), ("write", Some("write"))] {

@@ -13,6 +13,7 @@ use canopen::sdo::{Expedited, Initiate, Request, Response};
 use canopen::{NodeId, nmt, objects};
 use hil::pty::{self, Interest};
 use kit::mrroc::{Directory, Running, text};
+use kit::processors;
 
 /// Upper bound for the duration of every step.
 const DEADLINE: Duration = Duration::from_secs(30);
@@ -85,6 +86,7 @@ impl Host {
 
 #[test]
 fn drives_behind_an_adapter_answer_and_the_adapter_goes_with_its_emulator() {
+    let _share = processors::take(0.25);
     let directory = Directory::new();
     let cell = directory.write("cell.toml", &text("irb6"));
     let link = directory.path("can0");

@@ -4,11 +4,10 @@
 
 use std::ffi::OsString;
 use std::fs;
-use std::time::Duration;
 
 use ::mrroc::cell::Cell;
 use canopen::sync::Sync;
-use kit::bench::{on_vcan_within, turn};
+use kit::bench::on_vcan;
 use kit::mrroc::{Directory, Running, text};
 use kit::slow;
 
@@ -19,8 +18,7 @@ use crate::vcan::started;
 #[test]
 fn a_system_error_of_one_robot_brakes_both_and_names_robot_step_and_phase() {
     const TEST: &str = "error_classes::a_system_error_of_one_robot_brakes_both_and_names_robot_step_and_phase";
-    let _turn = turn();
-    on_vcan_within(Duration::from_secs(170), TEST, |_| {
+    on_vcan(TEST, |_| {
         let directory = Directory::new();
         // Motion that outlasts the test.
         let slow = text("two-irb6").replace(" velocity = 0.3", " velocity = 0.002");

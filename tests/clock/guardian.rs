@@ -19,17 +19,19 @@ use ::mrroc::cell::{Cell, CellFile};
 use ::mrroc::guardian::NAME;
 use can::{Instant, clock};
 use hil::{AxisController, Cabinet, LineId, Pty, World};
-use kit::bench::{patient_turn, turn};
 use kit::mrroc::{Directory, SERIAL_CELLS};
+use kit::{by_the_clock, processors};
 
 use crate::hang::Hang;
 use crate::serial_cli::{patient, run_on};
 
-/// Number of attempts, because the host may disturb a run before the failure.
-pub(crate) const ATTEMPTS: usize = 12;
-
 /// Permitted silence, ms, on a host with other load.
 const SILENCE_MS: u32 = 20;
+
+/// Mean use of processors, and the shortest delay that disturbs a run before its failure: more missed deadlines than the
+/// cell permits.
+const PROCESSORS: f64 = 0.45;
+const UNBEARABLE: Duration = Duration::from_millis(6);
 
 /// A motor that moves by less than this is at a standstill, rad. The gears reduce by about 150.
 const STILL: f64 = 0.1;
@@ -108,6 +110,8 @@ impl Emulator {
         mut lines: EmulatedLines,
         mut sample: impl FnMut(&World, Instant) -> Sample + Send + 'static,
     ) -> Self {
+        // The emulator is as urgent as the programs of the test.
+        processors::precede();
         let samples = Arc::new(Mutex::new(Vec::new()));
         let over = Arc::new(AtomicBool::new(false));
         let (kept, ended) = (samples.clone(), over.clone());
@@ -236,8 +240,8 @@ struct Rig<'a> {
 }
 
 impl Rig<'_> {
-    /// Lets a run fail in its cycle `rows` of motion. `None` if the host had disturbed the run before.
-    fn fails(&self, failure: Failure, rows: usize) -> Option<Figures> {
+    /// Lets a run fail in its cycle `rows` of motion.
+    fn fails(&self, failure: Failure, rows: usize) -> Figures {
         let record = self.directory.path("record.csv");
         let _ = fs::remove_file(&record);
         self.emulator.samples.lock().expect("no panic").clear();
@@ -246,10 +250,9 @@ impl Rig<'_> {
         let moving = ",wrist-roll,Moving,";
         let broken = |text: &str| text.contains(",Stopping,") || text.contains(",Faulted,");
         let began_to_move = run.ended_before(&record, |text| text.matches(moving).count() > rows || broken(text));
-        if began_to_move.is_err() || broken(&fs::read_to_string(&record).expect("the record")) {
-            println!("again, the host disturbed the run: {began_to_move:?}");
-            return None;
-        }
+        assert_eq!(began_to_move, Ok(()), "the run ended before the failure");
+        let record = fs::read_to_string(&record).expect("the record");
+        assert!(!broken(&record), "the run stopped before the failure: {:?}", run.output());
         let guardian = child_of(run.id(), NAME).expect("a guardian");
         let event = clock::now();
         let mut hang = None;
@@ -285,15 +288,7 @@ impl Rig<'_> {
             Failure::Kill | Failure::Unguarded => event,
             Failure::Pause(_) | Failure::Hang => last_telegram(&after),
         };
-        Some(figures(self.file, &after, event))
-    }
-
-    /// Lets runs fail until one was not disturbed before.
-    fn figures(&self, failure: Failure, rows: usize) -> Figures {
-        let figures = (0..ATTEMPTS).find_map(|_| self.fails(failure, rows));
-        let figures = figures.expect("a host that can run the cell for a moment");
-        println!("{failure:?}: {figures}");
-        figures
+        figures(self.file, &after, event)
     }
 }
 
@@ -330,11 +325,15 @@ fn guarded(name: &str, silence: Option<u32>, tries: usize) {
     for failure in FAILURES {
         let mut worst = Figures::default();
         for number in 0..tries {
-            let figures = rig.figures(failure, 300 + 150 * (number % 8));
+            let figures = by_the_clock(PROCESSORS, UNBEARABLE, || {
+                let figures = rig.fails(failure, 300 + 150 * (number % 8));
+                println!("{failure:?}: {figures}");
+                let latest = permitted + LATEST;
+                assert!(failure == Failure::Unguarded || figures.reaction <= latest, "{failure:?}: {figures}");
+                assert!(figures.standstill <= latest + RUN_OUT, "{failure:?}: {figures}");
+                figures
+            });
             worst = worst.worst(figures);
-            let latest = permitted + LATEST;
-            assert!(failure == Failure::Unguarded || figures.reaction <= latest, "{failure:?}: {figures}");
-            assert!(figures.standstill <= latest + RUN_OUT, "{failure:?}: {figures}");
         }
         println!("{name}, {failure:?}, worst of {tries}: {worst}");
     }
@@ -349,14 +348,12 @@ pub(crate) const RUN_OUT: Duration = Duration::from_millis(500);
 
 #[test]
 fn drives_of_a_run_that_fails_in_motion_are_stopped() {
-    let _turn = patient_turn();
     guarded("irb6-serial", Some(SILENCE_MS), 1);
 }
 
 #[test]
 #[ignore = "twenty tries of each failure, for figures"]
 fn guarded_20() {
-    let _turn = turn();
     for name in SERIAL_CELLS {
         guarded(name, None, 20);
     }

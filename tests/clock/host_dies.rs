@@ -21,11 +21,13 @@ use canopen::emcy::Emergency;
 use canopen::sync::Sync;
 use canopen::{NodeId, cob, nmt};
 use hil::{BusId, Pty, World};
-use kit::bench::{on_vcan_within, patient_turn, turn};
+use kit::bench::in_uml;
+use kit::by_the_clock;
 use kit::mrroc::{Directory, Running, shorten};
+use kit::processors::ALL;
 use kit::slow;
 
-use crate::guardian::{ATTEMPTS, Emulator, Failure, Figures, RUN_OUT, Sample, figures, moved};
+use crate::guardian::{Emulator, Failure, Figures, RUN_OUT, Sample, figures, moved};
 use crate::hang::Hang;
 
 const FAILURES: [Failure; 5] = [
@@ -39,6 +41,9 @@ const FAILURES: [Failure; 5] = [
 /// Time between two looks of the emulator at its world.
 const GRAIN: Duration = Duration::from_millis(1);
 
+/// Shortest delay that disturbs a run before its failure.
+const UNBEARABLE: Duration = Duration::from_millis(10);
+
 /// The way from the controller to the drives.
 struct Wire {
     name: &'static str,
@@ -49,6 +54,8 @@ struct Wire {
     /// Longest silence of the host until the drives detect the silence or receive the command of the guardian.
     silence: Duration,
     failures: &'static [Failure],
+    /// Mean use of processors.
+    processors: f64,
 }
 
 /// The emulated drives of CAN bus 0, which `connect` adds. A sample has an error if each drive has sent an EMCY. On a
@@ -106,8 +113,8 @@ impl Rig<'_> {
         Running::start(run.into_iter().chain(wire))
     }
 
-    /// Lets a run fail in its cycle `rows` of motion. `None` if the host had disturbed the run before.
-    fn fails(&self, failure: Failure, rows: usize) -> Option<Figures> {
+    /// Lets a run fail in its cycle `rows` of motion.
+    fn fails(&self, failure: Failure, rows: usize) -> Figures {
         let record = self.directory.path("record.csv");
         let _ = fs::remove_file(&record);
         self.emulator.samples.lock().expect("no panic").clear();
@@ -116,10 +123,9 @@ impl Rig<'_> {
         let moving = ",wrist-roll,Moving,";
         let broken = |text: &str| text.contains(",Stopping,") || text.contains(",Faulted,");
         let begun = run.ended_before(&record, |text| text.matches(moving).count() > rows || broken(text));
-        if begun.is_err() || broken(&fs::read_to_string(&record).expect("the record")) {
-            println!("again, the host disturbed the run: {begun:?}");
-            return None;
-        }
+        assert_eq!(begun, Ok(()), "the run ended before the failure");
+        let record = fs::read_to_string(&record).expect("the record");
+        assert!(!broken(&record), "the run stopped before the failure: {:?}", run.output());
         let event = clock::now();
         let mut hang = None;
         match failure {
@@ -144,13 +150,7 @@ impl Rig<'_> {
         // A drive without power falls by less than the brake's play.
         let (rested, last) = (stands.last().expect("samples"), after.last().expect("samples"));
         assert!(!moved(rested, last), "{failure:?}: the robot moved again: {rested:?} {last:?}");
-        Some(figures(self.file, &after, last_sign(&after, event, self.wire.gap)))
-    }
-
-    /// Lets runs fail until one was not disturbed before.
-    fn figures(&self, failure: Failure, rows: usize) -> Figures {
-        let figures = (0..ATTEMPTS).find_map(|_| self.fails(failure, rows));
-        figures.expect("a host that can run the cell for a moment")
+        figures(self.file, &after, last_sign(&after, event, self.wire.gap))
     }
 }
 
@@ -177,12 +177,15 @@ fn dies(directory: &Directory, cell: &Path, wire: &Wire, emulator: &Emulator, tr
     for &failure in wire.failures {
         let mut worst = Figures::default();
         for number in 0..tries {
-            let figures = rig.figures(failure, rows(number));
+            let figures = by_the_clock(wire.processors, UNBEARABLE, || {
+                let figures = rig.fails(failure, rows(number));
+                assert!(figures.standstill <= wire.silence + RUN_OUT, "{failure:?}: {figures}");
+                let silent = !matches!(failure, Failure::Pause(time) if time < 2 * wire.silence);
+                let noticed = (Duration::from_nanos(1)..=wire.silence + GRAIN).contains(&figures.reaction);
+                assert!(noticed || !silent, "{failure:?}: the drives do not notice the silence in time: {figures}");
+                figures
+            });
             worst = worst.worst(figures);
-            assert!(figures.standstill <= wire.silence + RUN_OUT, "{failure:?}: {figures}");
-            let silent = !matches!(failure, Failure::Pause(time) if time < 2 * wire.silence);
-            let noticed = (Duration::from_nanos(1)..=wire.silence + GRAIN).contains(&figures.reaction);
-            assert!(noticed || !silent, "{failure:?}: the drives do not notice the silence in time: {figures}");
         }
         println!("irb6 {}, {failure:?}, worst of {tries}: {worst}", wire.name);
     }
@@ -206,7 +209,8 @@ fn dies_behind_slcan(tries: usize) {
     let can = format!("--can=slcan:{}", link.display());
     let arguments = ["--bench=card".to_owned(), can];
     let gap = Duration::from_millis(20);
-    let wire = Wire { name: "behind slcan", arguments, gap, silence: of_drives(&file), failures: &FAILURES };
+    let wire =
+        Wire { name: "behind slcan", arguments, gap, silence: of_drives(&file), failures: &FAILURES, processors: 0.45 };
     dies(&directory, &cell, &wire, &emulator, tries);
 }
 
@@ -214,7 +218,7 @@ fn dies_behind_slcan(tries: usize) {
 /// do. The only failure is therefore a kill. On a guarded bus, the guardian detects the end of the host at once. The
 /// command of the guardian must precede the time at which the drives would stop by themselves, after 0.6 s.
 fn dies_on_vcan(test: &str, longest: Duration, tries: usize, guarded: bool) {
-    on_vcan_within(longest, test, |interface| {
+    in_uml(longest, test, |interface| {
         let directory = Directory::new();
         let cell = directory.cell("irb6", |cell: &mut Cell| {
             slow::shorten(cell);
@@ -235,27 +239,24 @@ fn dies_on_vcan(test: &str, longest: Duration, tries: usize, guarded: bool) {
         let (gap, failures) = (Duration::from_millis(200), &[Failure::Kill]);
         let silence = of_drives(&file) - if guarded { file.cell.period() } else { Duration::ZERO };
         let name = if guarded { "on guarded vcan" } else { "on vcan" };
-        let wire = Wire { name, arguments, gap, silence, failures };
+        let wire = Wire { name, arguments, gap, silence, failures, processors: ALL };
         dies(&directory, &cell, &wire, &emulator, tries);
     });
 }
 
 #[test]
 fn drives_on_can_stop_by_themselves_when_their_host_fails_in_motion() {
-    let _turn = patient_turn();
     dies_behind_slcan(1);
 }
 
 #[test]
 fn drives_on_vcan_stop_by_themselves_when_their_host_fails_in_motion() {
-    let _turn = patient_turn();
     let test = "host_dies::drives_on_vcan_stop_by_themselves_when_their_host_fails_in_motion";
     dies_on_vcan(test, Duration::from_secs(240), 1, false);
 }
 
 #[test]
 fn the_guardian_of_a_vcan_stops_its_drives_when_their_host_is_killed_in_motion() {
-    let _turn = patient_turn();
     let test = "host_dies::the_guardian_of_a_vcan_stops_its_drives_when_their_host_is_killed_in_motion";
     dies_on_vcan(test, Duration::from_secs(240), 1, true);
 }
@@ -263,13 +264,11 @@ fn the_guardian_of_a_vcan_stops_its_drives_when_their_host_is_killed_in_motion()
 #[test]
 #[ignore = "twenty tries of each failure, for figures"]
 fn host_dies_20() {
-    let _turn = turn();
     dies_behind_slcan(20);
 }
 
 #[test]
 #[ignore = "twenty tries of each failure, for figures"]
 fn host_dies_20_on_vcan() {
-    let _turn = turn();
     dies_on_vcan("host_dies::host_dies_20_on_vcan", Duration::from_secs(3600), 20, false);
 }

@@ -5,8 +5,8 @@ use std::fs;
 use std::time::Duration;
 
 use can::clock;
-use kit::bench::patient_turn;
 use kit::mrroc::{Directory, Running, shorten};
+use kit::processors;
 
 /// Inodes of the sockets that wait for a peer in the network of this process.
 fn listening() -> BTreeSet<String> {
@@ -56,7 +56,7 @@ fn a_listening_socket_is_found() {
 
 #[test]
 fn neither_a_run_nor_an_emulator_listens_on_a_socket() {
-    let _turn = patient_turn();
+    let _share = processors::take(0.4);
     let directory = Directory::new();
     let cell = directory.cell("irb6", shorten);
     let [link, record] = ["can0", "record.csv"].map(|name| directory.path(name));

@@ -1,11 +1,10 @@
 //! `mrroc identify` by the clock: on the ttys and the bus of another process, and stopped.
 
-use std::iter;
 use std::path::Path;
 
-use kit::bench::turn;
 use kit::mrroc::{Directory, Output, Running, mrroc, shorten};
 use kit::refusals::refused;
+use kit::{PERIOD, by_the_clock};
 use serde_json::Value;
 
 use crate::serial_cli::emulate;
@@ -16,23 +15,16 @@ fn identify(cell: &Path, more: &[&str]) -> Output {
     mrroc(arguments.into_iter().chain(more.iter().map(AsRef::as_ref)))
 }
 
-/// Repeats `measure` on `bench` until its report is correct, up to eight times. On an overloaded machine, frames and
-/// answers are late, and a measurement may end with a fault. A refused measurement fails the test at once, unless
-/// answers took more than a period.
-fn in_the_end(measure: impl Fn() -> Output, bench: &str, is_right: impl Fn(&Value) -> bool) {
-    let right = |run: &Output| {
-        if run.status.code() == Some(1) || run.stderr.contains("took more than a period") {
-            println!("{bench}: {}", run.stderr);
-            return false;
-        }
-        assert_eq!(run.status.code(), Some(0), "{run:?}");
-        let report = run.json();
-        println!("{bench}: {}, {}", report["crossover_hz"], report["phase_margin_deg"]);
-        report["bench"] == bench && is_right(&report)
-    };
-    let mut runs = iter::repeat_with(measure).take(8);
-    assert!(runs.any(|run| right(&run)), "never right on {bench}");
+/// Asserts that a measurement on `bench` gives a right report.
+fn measured(run: &Output, bench: &str, is_right: impl Fn(&Value) -> bool) {
+    assert_eq!(run.status.code(), Some(0), "{run:?}");
+    let report = run.json();
+    println!("{bench}: {}, {}", report["crossover_hz"], report["phase_margin_deg"]);
+    assert!(report["bench"] == bench && is_right(&report), "{report}");
 }
+
+/// Mean use of processors.
+const PROCESSORS: f64 = 0.45;
 
 /// Whether the report approximately describes the loop of the example.
 fn is_serial_column(report: &Value) -> bool {
@@ -44,7 +36,6 @@ fn is_serial_column(report: &Value) -> bool {
 /// moved.
 #[test]
 fn a_loop_is_measured_over_the_ttys_of_another_process() {
-    let _turn = turn();
     let directory = Directory::new();
     let cell = directory.cell("irb6-serial", |cell| {
         shorten(cell);
@@ -62,14 +53,13 @@ fn a_loop_is_measured_over_the_ttys_of_another_process() {
     };
     let hardware = || on("card", &["--moves-hardware"]);
     refused(&on("card", &[]), &["--moves-hardware"]);
-    // Late answers may abort a start before the refusal. No start may lead to a measurement.
-    let mut unhomed = iter::repeat_with(hardware).take(20);
-    assert!(unhomed.any(|run| {
+    by_the_clock(PROCESSORS, PERIOD, || {
+        let run = hardware();
         assert_ne!(run.status.code(), Some(0), "{run:?}");
-        run.stderr.contains("irb6/column: the robot is not homed")
-    }));
-    in_the_end(|| on("vcan", &[]), "vcan", is_serial_column);
-    in_the_end(hardware, "card", is_serial_column);
+        assert!(run.stderr.contains("irb6/column: the robot is not homed"), "{run:?}");
+    });
+    by_the_clock(PROCESSORS, PERIOD, || measured(&on("vcan", &[]), "vcan", is_serial_column));
+    by_the_clock(PROCESSORS, PERIOD, || measured(&hardware(), "card", is_serial_column));
 }
 
 #[test]
@@ -86,29 +76,30 @@ fn an_axis_is_measured_over_vcan() {
             let mut magnitudes = slow.map(|point| point["magnitude"].as_f64().unwrap());
             magnitudes.all(|it| (it - 1.0).abs() < 0.2)
         };
-        in_the_end(|| identify(&cell, &arguments), "vcan", follows);
+        measured(&identify(&cell, &arguments), "vcan", follows);
     });
 }
 
 #[test]
 fn a_measurement_that_is_stopped_ends_with_status_1_and_brakes() {
-    let _turn = turn();
-    let directory = Directory::new();
-    let cell = directory.cell("irb6-serial", shorten);
-    let out = directory.path("out");
-    let words = ["identify", "--axis=column", "--bench=emulated", "--periods=40", "--out"];
-    let words = words.iter().map(AsRef::as_ref);
-    let run = Running::start(words.chain([out.as_os_str(), cell.as_os_str()]));
-    run.wait_for(&out.join("bode.csv"), |_| true);
-    const SIGQUIT: u32 = 3;
-    // A signal before its handler ends the program, which has then moved nothing.
-    let status = format!("/proc/{}/status", run.id());
-    run.wait_for(status.as_ref(), |status| {
-        let caught = status.lines().find_map(|line| line.strip_prefix("SigCgt:"));
-        caught.is_some_and(|caught| u64::from_str_radix(caught.trim(), 16).unwrap() & (1 << (SIGQUIT - 1)) != 0)
+    by_the_clock(0.3, PERIOD, || {
+        let directory = Directory::new();
+        let cell = directory.cell("irb6-serial", shorten);
+        let out = directory.path("out");
+        let words = ["identify", "--axis=column", "--bench=emulated", "--periods=40", "--out"];
+        let words = words.iter().map(AsRef::as_ref);
+        let run = Running::start(words.chain([out.as_os_str(), cell.as_os_str()]));
+        run.wait_for(&out.join("bode.csv"), |_| true);
+        const SIGQUIT: u32 = 3;
+        // A signal before its handler ends the program, which has then moved nothing.
+        let status = format!("/proc/{}/status", run.id());
+        run.wait_for(status.as_ref(), |status| {
+            let caught = status.lines().find_map(|line| line.strip_prefix("SigCgt:"));
+            caught.is_some_and(|caught| u64::from_str_radix(caught.trim(), 16).unwrap() & (1 << (SIGQUIT - 1)) != 0)
+        });
+        run.signal("QUIT");
+        let run = run.output();
+        assert_eq!(run.status.code(), Some(1), "{run:?}");
+        assert!(run.stderr.contains("stopped before"), "{run:?}");
     });
-    run.signal("QUIT");
-    let run = run.output();
-    assert_eq!(run.status.code(), Some(1), "{run:?}");
-    assert!(run.stderr.contains("stopped before"), "{run:?}");
 }

@@ -1,16 +1,23 @@
 //! `mrroc jitter`: its output for scripts. The tests do not judge the quality of the host.
 
 use std::process::{Command, Stdio};
+use std::time::Duration;
 
-use kit::bench::{on_vcan, turn};
+use can::clock;
+use kit::bench::on_vcan;
 use kit::mrroc::{Directory, Running, binary, example, mrroc};
+use kit::processors;
 use kit::refusals::refused;
+use kit::{PERIOD, by_the_clock};
 use serde_json::Value;
 
 use crate::doctor::Attached;
 use crate::slcan::Adapters;
 use crate::socketcan::sh;
 use crate::vcan::started;
+
+/// Interval between two looks at a process.
+const LOOK: Duration = Duration::from_millis(2);
 
 const KEYS: [&str; 4] = ["p50", "p99", "p999", "max"];
 
@@ -23,32 +30,34 @@ fn measured(arguments: &[&str]) -> Value {
 
 #[test]
 fn a_measurement_ends_with_one_object_that_compares_both_sides() {
-    let _turn = turn();
-    let report = measured(&["--against", "plain", "--load", "cpu,memory,fork,io"]);
-    for side in ["ours", "peer"] {
-        let cycles = report[side]["cycles"].as_u64().unwrap();
-        assert!((1..=150).contains(&cycles), "{report}");
-        let values = KEYS.map(|key| report[side][key].as_f64().unwrap());
-        assert!(values.is_sorted() && values[3] > 0.0, "{report}");
-    }
-    for key in KEYS {
-        let [ours, peer] = ["ours", "peer"].map(|side| report[side][key].as_f64().unwrap());
-        let ratio = report["ratio"][key].as_f64().unwrap();
-        assert!((ratio * peer - ours).abs() < 1e-6 * peer, "{report}");
-    }
-    assert!(report["ours"]["spin_percent"].as_f64().unwrap() > 0.0, "{report}");
-    assert!(report["causes"]["preempted"].is_u64(), "{report}");
-    assert!(report["verdict"].as_str().unwrap().contains("2000 µs"), "{report}");
-    for key in KEYS {
-        let part = |whose: &str| report["tail"][whose][key].as_f64().unwrap();
-        let ours = report["ours"][key].as_f64().unwrap();
-        assert!((part("host") + part("own") - ours).abs() < 1e-6, "{report}");
-    }
-    assert_eq!(report["ended_early"], false, "{report}");
+    by_the_clock(0.6, PERIOD, || {
+        let report = measured(&["--against", "plain", "--load", "cpu,memory,fork,io"]);
+        for side in ["ours", "peer"] {
+            let cycles = report[side]["cycles"].as_u64().unwrap();
+            assert!((1..=150).contains(&cycles), "{report}");
+            let values = KEYS.map(|key| report[side][key].as_f64().unwrap());
+            assert!(values.is_sorted() && values[3] > 0.0, "{report}");
+        }
+        for key in KEYS {
+            let [ours, peer] = ["ours", "peer"].map(|side| report[side][key].as_f64().unwrap());
+            let ratio = report["ratio"][key].as_f64().unwrap();
+            assert!((ratio * peer - ours).abs() < 1e-6 * peer, "{report}");
+        }
+        assert!(report["ours"]["spin_percent"].as_f64().unwrap() > 0.0, "{report}");
+        assert!(report["causes"]["preempted"].is_u64(), "{report}");
+        assert!(report["verdict"].as_str().unwrap().contains("2000 µs"), "{report}");
+        for key in KEYS {
+            let part = |whose: &str| report["tail"][whose][key].as_f64().unwrap();
+            let ours = report["ours"][key].as_f64().unwrap();
+            assert!((part("host") + part("own") - ours).abs() < 1e-6, "{report}");
+        }
+        assert_eq!(report["ended_early"], false, "{report}");
+    });
 }
 
 #[test]
 fn cyclictest_is_run_for_as_long_and_read_whole() {
+    let _share = processors::take(0.3);
     let report = measured(&["--against", "cyclictest"]);
     assert_eq!(report["against"], "cyclictest");
     let [ours, peer] = ["ours", "peer"].map(|side| report[side]["cycles"].as_u64().unwrap());
@@ -61,6 +70,7 @@ fn cyclictest_is_run_for_as_long_and_read_whole() {
 
 #[test]
 fn numbers_are_in_microseconds() {
+    let _share = processors::take(0.3);
     let report = measured(&["--against", "plain", "--wait", "plain"]);
     let [ours, peer] = ["ours", "peer"].map(|side| report[side]["p50"].as_f64().unwrap());
     for median in [ours, peer] {
@@ -71,40 +81,40 @@ fn numbers_are_in_microseconds() {
 
 #[test]
 fn the_cycle_of_a_cell_is_measured_with_its_drives_on() {
-    let _turn = turn();
-    let cell = example("irb6");
-    let words = ["jitter", "--duration=2s", "--against=plain", "--load=bus", "--json", "--cell"];
-    let words = words.map(AsRef::as_ref).into_iter().chain([cell.as_os_str()]);
-    let run = mrroc(words);
-    assert_eq!(run.status.code(), Some(0), "{run:?}");
-    let report = run.json();
-    assert_eq!(report["period_us"], 2000.0, "{report}");
-    assert_eq!(report["cell"]["state"], "power on, holding position, not homed", "{report}");
-    let nodes = report["cell"]["wire"][0]["nodes"].as_array().unwrap();
-    for (node, answer) in nodes.iter().zip([123.0, 245.0, 365.0, 487.0, 609.0]) {
-        let median = node["sync_to_tpdo_us"]["p50"].as_f64().unwrap();
-        assert!((median - answer).abs() < 3.0, "{node}");
-    }
-    assert_eq!(nodes.len(), 5);
-    for (part, least) in [("step_us", 0.5), ("bus_us", 300.0), ("wake_us", 0.0)] {
-        let values = KEYS.map(|key| report["cell"][part][key].as_f64().unwrap());
-        assert!(values.is_sorted() && values[0] > least && values[0] < 2000.0, "{report}");
-    }
-    let late = report["causes"].as_object().unwrap().values();
-    let late: u64 = late.map(|count| count.as_u64().unwrap()).sum();
-    let worst = report["worst"].as_array().unwrap().len() as u64;
-    assert_eq!(worst, late.min(8), "{report}");
-    let max = report["ours"]["max"].as_f64().unwrap();
-    assert!(late > 0 || max <= 2000.0 / 100.0 * 1.001, "{report}");
-    for side in ["ours", "peer"] {
-        let cycles = report[side]["cycles"].as_u64().unwrap();
-        assert!((500..=1100).contains(&cycles), "{report}");
-    }
+    by_the_clock(0.5, PERIOD, || {
+        let cell = example("irb6");
+        let words = ["jitter", "--duration=2s", "--against=plain", "--load=bus", "--json", "--cell"];
+        let words = words.map(AsRef::as_ref).into_iter().chain([cell.as_os_str()]);
+        let run = mrroc(words);
+        assert_eq!(run.status.code(), Some(0), "{run:?}");
+        let report = run.json();
+        assert_eq!(report["period_us"], 2000.0, "{report}");
+        assert_eq!(report["cell"]["state"], "power on, holding position, not homed", "{report}");
+        let nodes = report["cell"]["wire"][0]["nodes"].as_array().unwrap();
+        for (node, answer) in nodes.iter().zip([123.0, 245.0, 365.0, 487.0, 609.0]) {
+            let median = node["sync_to_tpdo_us"]["p50"].as_f64().unwrap();
+            assert!((median - answer).abs() < 3.0, "{node}");
+        }
+        assert_eq!(nodes.len(), 5);
+        for (part, least) in [("step_us", 0.5), ("bus_us", 300.0), ("wake_us", 0.0)] {
+            let values = KEYS.map(|key| report["cell"][part][key].as_f64().unwrap());
+            assert!(values.is_sorted() && values[0] > least && values[0] < 2000.0, "{report}");
+        }
+        let late = report["causes"].as_object().unwrap().values();
+        let late: u64 = late.map(|count| count.as_u64().unwrap()).sum();
+        let worst = report["worst"].as_array().unwrap().len() as u64;
+        assert_eq!(worst, late.min(8), "{report}");
+        let max = report["ours"]["max"].as_f64().unwrap();
+        assert!(late > 0 || max <= 2000.0 / 100.0 * 1.001, "{report}");
+        for side in ["ours", "peer"] {
+            let cycles = report[side]["cycles"].as_u64().unwrap();
+            assert!((500..=1100).contains(&cycles), "{report}");
+        }
+    });
 }
 
 #[test]
 fn a_cell_is_measured_on_a_virtual_interface_and_never_on_a_card() {
-    let _turn = turn();
     on_vcan("jitter::a_cell_is_measured_on_a_virtual_interface_and_never_on_a_card", |interface| {
         let directory = Directory::new();
         let cell = directory.cell("irb6", |cell| {
@@ -138,6 +148,7 @@ fn a_cell_is_measured_on_a_virtual_interface_and_never_on_a_card() {
 
 #[test]
 fn an_interrupt_ends_it_early_with_what_was_measured() {
+    let _share = processors::take(0.3);
     let scratch = Directory::new();
     let directory = scratch.path("out");
     let words = ["jitter", "--duration=1h", "--json", "--against=plain", "--load=fork", "--out"];
@@ -158,7 +169,7 @@ fn an_interrupt_ends_it_early_with_what_was_measured() {
 /// A quarter of a million cycles at the highest allowed rate: the memory does not grow with the number of cycles.
 #[test]
 fn a_long_measurement_keeps_no_more_than_a_short_one() {
-    let _turn = turn();
+    let _share = processors::take(0.4);
     let resident = |duration: &str| {
         let scratch = Directory::new();
         let directory = scratch.path("out");
@@ -173,7 +184,7 @@ fn a_long_measurement_keeps_no_more_than_a_short_one() {
             let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"));
             let kilobytes = line.and_then(|line| line.split_whitespace().next()?.parse().ok());
             most = most.max(kilobytes.unwrap_or(0u64));
-            std::thread::yield_now();
+            clock::sleep_until(clock::now() + LOOK);
         }
         assert!(most > 0, "{status} was never read");
         most
@@ -185,6 +196,7 @@ fn a_long_measurement_keeps_no_more_than_a_short_one() {
 
 #[test]
 fn alone_and_by_sleep_it_has_no_peer_and_does_not_spin() {
+    let _share = processors::take(0.2);
     let report = measured(&["--wait", "plain"]);
     assert!(report["peer"].is_null() && report["ratio"].is_null(), "{report}");
     assert_eq!(report["ours"]["spin_percent"], 0.0, "{report}");
@@ -193,6 +205,7 @@ fn alone_and_by_sleep_it_has_no_peer_and_does_not_spin() {
 /// A substitute for hackbench that never ends by itself. The test finds its process by the process ID.
 #[test]
 fn programs_of_a_load_end_with_the_command_however_that_ends() {
+    let _share = processors::take(0.25);
     for killed in [false, true] {
         let scratch = Directory::new();
         let script = scratch
@@ -228,8 +241,7 @@ fn patiently<T>(found: impl Fn() -> Option<T>) -> T {
         if let Some(found) = found() {
             return found;
         }
-        let waited = Command::new("sleep").arg("0.01").status();
-        assert!(waited.unwrap().success());
+        clock::sleep_until(clock::now() + 5 * LOOK);
     }
     panic!("it did not happen in time");
 }

@@ -8,7 +8,8 @@ use std::thread;
 use std::time::Duration;
 
 use hil::qemu::{Clock, Kernel, MachineError, Options, QemuError, run};
-use kit::bench::kernel;
+use kit::bench::{QEMU, kernel};
+use kit::processors;
 
 use crate::uml::{Scratch, process_ids_of, processes_of};
 use crate::vcan::wait_until;
@@ -35,6 +36,7 @@ fn shell(kernel: &Kernel, scratch: &Scratch, timeout: Duration, script: &str) ->
 #[test]
 fn the_machine_has_cards_and_the_files_of_the_host_read_only() {
     let Some(kernel) = kernel("qemu") else { return };
+    let _share = processors::take(QEMU);
     let scratch = Scratch::new("qemu-files");
     fs::write(scratch.0.join("here"), "seen\n").unwrap();
     let script = "cat here; echo \"$WORD\"; cat /sys/kernel/realtime; \
@@ -54,6 +56,7 @@ fn the_machine_has_cards_and_the_files_of_the_host_read_only() {
 #[test]
 fn a_machine_that_does_not_end_by_itself_is_told_from_one_that_dies() {
     let Some(kernel) = kernel("qemu") else { return };
+    let _share = processors::take(QEMU);
     let scratch = Scratch::new("qemu-end");
     // Longer than any boot, so the command exceeds the time limit.
     let timeout = Duration::from_secs(80);
@@ -99,6 +102,7 @@ impl Write for Holding {
 #[test]
 fn a_clock_that_counts_instructions_stands_still_while_the_host_holds_the_machine() {
     let Some(kernel) = kernel("qemu") else { return };
+    let _share = processors::take(QEMU);
     let scratch = Scratch::new("qemu-clock");
     // A loop with the same number of instructions each time. The script reads the clock, and then prints the word.
     let work = |word| {

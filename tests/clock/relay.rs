@@ -23,7 +23,7 @@ use can::{Instant, Port, Received, clock};
 use canopen::sync::Sync;
 use canopen::{NodeId, cob};
 use hil::{DigitalIo, DigitalIoConfig, World};
-use kit::bench::{on_vcan_within, patient_turn};
+use kit::bench::on_vcan_within;
 use kit::mrroc::{Directory, Running};
 use kit::slow;
 
@@ -151,7 +151,6 @@ fn a_relay_opens_when_the_controller_is_killed() {
         let interface = env::var("HIL_CAN").expect("the interface of the other process");
         return control(cell.as_ref(), &interface);
     }
-    let _turn = patient_turn();
     on_vcan_within(Duration::from_secs(240), test, |interface| {
         let by_guardian = opens(test, interface, true);
         let by_node = opens(test, interface, false);

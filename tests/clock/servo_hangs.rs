@@ -12,13 +12,16 @@ use std::time::Duration;
 use ::mrroc::cell::{Cell, CellFile};
 use ::mrroc::guardian::NAME;
 use can::clock;
-use kit::bench::patient_turn;
+use kit::by_the_clock;
 use kit::mrroc::{Directory, Running, example};
 use serde_json::json;
 
-use crate::guardian::{ATTEMPTS, Emulator, child_of, moved};
+use crate::guardian::{Emulator, child_of, moved};
 use crate::hang::{Hang, servo_thread};
 use crate::serial_cli::{patient, run_arguments};
+
+/// Shortest delay that disturbs a run before the hang.
+const UNBEARABLE: Duration = Duration::from_millis(6);
 
 /// Longest time from the hang to the end of the process. The run notices the hang after a second.
 const END: Duration = Duration::from_secs(15);
@@ -34,9 +37,8 @@ struct Rig<'a> {
 }
 
 impl Rig<'_> {
-    /// Lets the servo thread of a run hang in motion, and sends `signal` to the run. `None` if the host had disturbed
-    /// the run before.
-    fn hangs(&self, signal: Option<&str>) -> Option<()> {
+    /// Lets the servo thread of a run hang in motion, and sends `signal` to the run.
+    fn hangs(&self, signal: Option<&str>) {
         let [record, flights] = ["record.csv", "flights"].map(|name| self.directory.path(name));
         let _ = (fs::remove_file(&record), fs::remove_dir_all(&flights));
         fs::create_dir(&flights).expect("a directory of a new name");
@@ -48,10 +50,8 @@ impl Rig<'_> {
         let broken = |text: &str| text.contains(",Stopping,") || text.contains(",Faulted,");
         let begun = |text: &str| text.matches(",wrist-roll,Moving,").count() > 300 || broken(text);
         let begun = run.ended_before(&record, begun);
-        if begun.is_err() || broken(&fs::read_to_string(&record).expect("the record")) {
-            println!("again, the host disturbed the run: {begun:?}");
-            return None;
-        }
+        assert_eq!(begun, Ok(()), "the run ended before the hang");
+        assert!(!broken(&fs::read_to_string(&record).expect("the record")), "the run stopped before the hang");
         let (process, guardian) = (run.id(), child_of(run.id(), NAME).expect("a guardian"));
         let hang = Hang::of(process);
         let event = clock::now();
@@ -85,13 +85,11 @@ impl Rig<'_> {
         assert_eq!(fs::read_dir(&flights).expect("a directory").count(), 2, "a flight is a recording and a log");
         let last = after.last().expect("samples");
         assert!(last.error && !moved(last, self.emulator.at_rest(began).last().expect("samples")), "{last:?}");
-        Some(())
     }
 }
 
 #[test]
 fn a_run_whose_servo_thread_hangs_for_good_is_reported_and_ends() {
-    let _turn = patient_turn();
     let directory = Directory::new();
     let cell = directory.cell("irb6-serial", |cell: &mut Cell| {
         patient(cell);
@@ -105,33 +103,33 @@ fn a_run_whose_servo_thread_hangs_for_good_is_reported_and_ends() {
     let emulator = Emulator::start(&CellFile::read(&cell).expect("the cell"), &ttys);
     let rig = Rig { directory: &directory, cell: &cell, ttys: &ttys, emulator: &emulator };
     for signal in [None, Some("INT")] {
-        let ended = (0..ATTEMPTS).find_map(|_| rig.hangs(signal));
-        ended.expect("a host that can run the cell for a moment");
+        by_the_clock(0.45, UNBEARABLE, || rig.hangs(signal));
     }
 }
 
 #[test]
 fn a_measurement_whose_servo_thread_hangs_for_good_is_reported_and_ends() {
-    let _turn = patient_turn();
-    let cell = example("irb6");
-    let words = ["jitter", "--duration=1h", "--json", "--cell"].map(AsRef::as_ref);
-    let run = Running::start(words.into_iter().chain([cell.as_os_str()]));
-    let limit = clock::now() + END;
-    // A servo thread that is seen twice has begun its cycles.
-    let mut seen = None;
-    while seen.is_none() || servo_thread(run.id()) != seen {
-        assert!(clock::now() < limit, "no servo thread");
-        seen = servo_thread(run.id());
-        clock::sleep_until(clock::now() + Duration::from_millis(200));
-    }
-    let hang = Hang::of(run.id());
-    let event = clock::now();
-    let ended = run.output();
-    let duration = clock::now().since(event);
-    drop(hang);
-    println!("ended after {duration:?}: {ended:?}");
-    assert!(duration < EMULATED_END, "{duration:?}");
-    assert_eq!(ended.status.code(), Some(1), "{ended:?}");
-    assert!(ended.stderr.contains("thread servo hangs (no servo cycle for 10."), "{ended:?}");
-    assert!(ended.stderr.contains("check adapters and cycle laws"), "{ended:?}");
+    by_the_clock(0.25, Duration::from_secs(1), || {
+        let cell = example("irb6");
+        let words = ["jitter", "--duration=1h", "--json", "--cell"].map(AsRef::as_ref);
+        let run = Running::start(words.into_iter().chain([cell.as_os_str()]));
+        let limit = clock::now() + END;
+        // A servo thread that is seen twice has begun its cycles.
+        let mut seen = None;
+        while seen.is_none() || servo_thread(run.id()) != seen {
+            assert!(clock::now() < limit, "no servo thread");
+            seen = servo_thread(run.id());
+            clock::sleep_until(clock::now() + Duration::from_millis(200));
+        }
+        let hang = Hang::of(run.id());
+        let event = clock::now();
+        let ended = run.output();
+        let duration = clock::now().since(event);
+        drop(hang);
+        println!("ended after {duration:?}: {ended:?}");
+        assert!(duration < EMULATED_END, "{duration:?}");
+        assert_eq!(ended.status.code(), Some(1), "{ended:?}");
+        assert!(ended.stderr.contains("thread servo hangs (no servo cycle for 10."), "{ended:?}");
+        assert!(ended.stderr.contains("check adapters and cycle laws"), "{ended:?}");
+    });
 }

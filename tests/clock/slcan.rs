@@ -12,10 +12,15 @@ use canopen::NodeId;
 use hil::epos4::{Epos4, Epos4Config};
 use hil::pty::{self, Interest, Pty};
 use hil::{AxisConfig, DeviceId, Irp6Axis, SlcanCounts, SlcanDevice, World};
+use kit::by_the_clock;
 use kit::mrroc::{self, Directory, Output, Running, mrroc};
+use kit::processors;
 
 /// Time between two checks whether the adapter is to be unplugged.
 const LOOK: Duration = Duration::from_millis(20);
+
+/// Shortest delay that disturbs a run: the servo period of its cell.
+const LATE: Duration = Duration::from_millis(10);
 
 /// Emulated adapters on one bus, served by a thread of their own and unplugged on drop.
 pub(crate) struct Adapters {
@@ -98,6 +103,7 @@ fn serve(mut ptys: Vec<Pty>, nodes: &[u8], unplugged: &AtomicBool) -> Vec<SlcanC
 
 #[test]
 fn service_commands_reach_drives_behind_an_adapter() {
+    let _share = processors::take(0.25);
     let adapter = Adapters::with(1, &[3, 7]);
     let found = adapter.says("scan");
     assert_eq!(found.lines().count(), 2, "{found}");
@@ -117,6 +123,7 @@ fn service_commands_reach_drives_behind_an_adapter() {
 
 #[test]
 fn a_data_sheet_names_types_and_refuses_before_anything_is_sent() {
+    let _share = processors::take(0.25);
     let adapter = Adapters::with(1, &[3]);
     let directory = Directory::new();
     let cell = mrroc::example("irb6").display().to_string();
@@ -144,6 +151,7 @@ fn a_data_sheet_names_types_and_refuses_before_anything_is_sent() {
 
 #[test]
 fn a_bit_rate_that_is_not_the_buss_is_silence_and_one_that_slcan_lacks_is_refused() {
+    let _share = processors::take(0.25);
     let adapter = Adapters::with(1, &[3]);
     let wrong = adapter.run("scan --bitrate-kbps 500");
     assert_eq!(wrong.status.code(), Some(2), "{wrong:?}");
@@ -157,6 +165,7 @@ fn a_bit_rate_that_is_not_the_buss_is_silence_and_one_that_slcan_lacks_is_refuse
 
 #[test]
 fn a_tty_that_is_not_there_or_no_adapter_is_refused_in_one_line() {
+    let _share = processors::take(0.2);
     let mute = Pty::open().unwrap();
     let nobody = format!("slcan:{}", mute.path().display());
     let cases = [
@@ -174,6 +183,7 @@ fn a_tty_that_is_not_there_or_no_adapter_is_refused_in_one_line() {
 
 #[test]
 fn a_broken_off_layer_setting_service_sends_all_slaves_back_to_waiting_mode() {
+    let _share = processors::take(0.25);
     let adapters = Adapters::with(2, &[3]);
     let [here, there] = &adapters.interfaces[..] else {
         panic!("two adapters");
@@ -195,6 +205,7 @@ fn a_broken_off_layer_setting_service_sends_all_slaves_back_to_waiting_mode() {
 
 #[test]
 fn an_adapter_that_is_unplugged_ends_a_monitor() {
+    let _share = processors::take(0.25);
     let mut adapter = Adapters::with(1, &[3]);
     let heartbeat = "sdo write 3 0x1017 --type u16 20 --no-read-back";
     assert_eq!(adapter.says(heartbeat), "");
@@ -209,49 +220,51 @@ fn an_adapter_that_is_unplugged_ends_a_monitor() {
 
 #[test]
 fn an_arm_runs_over_one_adapter_with_its_drives_emulated_behind_another() {
-    let mut adapters = Adapters::with(2, &[]);
-    let directory = Directory::new();
-    // Time limits as on the other benches on the wall clock.
-    let cell = directory.cell("irb6", |cell| {
-        mrroc::shorten(cell);
-        cell.robot[0].program.truncate(1);
-        cell.period_us = 10_000;
-        cell.macrostep = 4;
-        cell.max_missed_in_row = 300;
-        cell.bus[0].tolerated_missing = 50;
-        cell.bus[0].heartbeat_ms = 1000;
-        cell.bus[0].boot_timeout_ms = 10_000;
-        for axis in &mut cell.robot[0].axis {
-            axis.following_error = 100.0;
+    by_the_clock(0.45, LATE, || {
+        let mut adapters = Adapters::with(2, &[]);
+        let directory = Directory::new();
+        // Time limits as on the other benches on the wall clock.
+        let cell = directory.cell("irb6", |cell| {
+            mrroc::shorten(cell);
+            cell.robot[0].program.truncate(1);
+            cell.period_us = 10_000;
+            cell.macrostep = 4;
+            cell.max_missed_in_row = 300;
+            cell.bus[0].tolerated_missing = 50;
+            cell.bus[0].heartbeat_ms = 1000;
+            cell.bus[0].boot_timeout_ms = 10_000;
+            for axis in &mut cell.robot[0].axis {
+                axis.following_error = 100.0;
+            }
+        });
+        let [here, there] = &adapters.interfaces[..] else {
+            panic!("two adapters");
+        };
+        let cell = cell.display().to_string();
+        let emulators = Running::start(["emulate", &cell, "--can", there]);
+        let trace = directory.path("trace.log").display().to_string();
+        let run = ["run", &cell, "--bench", "card", "--can", here, "--json", "--trace", &trace];
+        let run = mrroc(run);
+        assert_eq!(run.status.code(), Some(0), "{run:?}");
+        let report = run.json();
+        assert_eq!(report["outcome"], "completed", "{report}");
+        let wire = &report["wire"][0];
+        assert!(wire["source"].is_null() && wire["sync_to_sync_us"].is_null(), "{wire}");
+        assert!(mrroc::enables(&mrroc::trace(&directory.path("trace.log"))) > 100);
+        emulators.signal("INT");
+        assert_eq!(emulators.output().status.code(), Some(0));
+        let counts = adapters.unplug();
+        let [here, there] = counts[..] else {
+            panic!("two adapters");
+        };
+        // Closing an adapter loses the frames on their way, on a loaded host those of ten cycles: SYNC and five RPDOs each, or
+        // five TPDOs.
+        for (sent, received) in [(here.sent, there.received), (there.sent, here.received)] {
+            assert!((received..=received + 60).contains(&sent), "{sent} {received}");
+        }
+        for counts in [here, there] {
+            // The closing may cut off a frame that the line has taken only in part. The adapter refuses such a frame.
+            assert!(counts.refused <= 1 && (counts.lost, counts.unsaid) == (0, 0), "{counts:?}");
         }
     });
-    let [here, there] = &adapters.interfaces[..] else {
-        panic!("two adapters");
-    };
-    let cell = cell.display().to_string();
-    let emulators = Running::start(["emulate", &cell, "--can", there]);
-    let trace = directory.path("trace.log").display().to_string();
-    let run = ["run", &cell, "--bench", "card", "--can", here, "--json", "--trace", &trace];
-    let run = mrroc(run);
-    assert_eq!(run.status.code(), Some(0), "{run:?}");
-    let report = run.json();
-    assert_eq!(report["outcome"], "completed", "{report}");
-    let wire = &report["wire"][0];
-    assert!(wire["source"].is_null() && wire["sync_to_sync_us"].is_null(), "{wire}");
-    assert!(mrroc::enables(&mrroc::trace(&directory.path("trace.log"))) > 100);
-    emulators.signal("INT");
-    assert_eq!(emulators.output().status.code(), Some(0));
-    let counts = adapters.unplug();
-    let [here, there] = counts[..] else {
-        panic!("two adapters");
-    };
-    // Closing an adapter loses the frames on their way, on a loaded host those of ten cycles: SYNC and five RPDOs each, or
-    // five TPDOs.
-    for (sent, received) in [(here.sent, there.received), (there.sent, here.received)] {
-        assert!((received..=received + 60).contains(&sent), "{sent} {received}");
-    }
-    for counts in [here, there] {
-        // The closing may cut off a frame that the line has taken only in part. The adapter refuses such a frame.
-        assert!(counts.refused <= 1 && (counts.lost, counts.unsaid) == (0, 0), "{counts:?}");
-    }
 }

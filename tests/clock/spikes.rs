@@ -3,8 +3,8 @@
 use std::fs;
 use std::path::Path;
 
-use kit::bench::turn;
 use kit::mrroc::{Directory, Running, example, mrroc, shorten};
+use kit::{PERIOD, by_the_clock};
 use serde_json::Value;
 
 use crate::cycle_calls::emulate;
@@ -50,57 +50,56 @@ fn processes(file: &Path) -> Vec<String> {
 /// SIGSTOP delays a cycle by a large amount.
 #[test]
 fn a_late_cycle_of_a_run_and_one_that_is_asked_for_are_in_the_file() {
-    let _turn = turn();
-    let directory = Directory::new();
-    let cell = directory.cell("irb6", shorten);
-    let [file, record] = ["spikes.json", "states.csv"].map(|name| directory.path(name));
-    let run = Running::start([
-        "run".as_ref(),
-        cell.as_os_str(),
-        "--json".as_ref(),
-        "--spikes".as_ref(),
-        file.as_os_str(),
-        "--record".as_ref(),
-        record.as_os_str(),
-    ]);
-    let has = |lines: usize| move |text: &str| text.lines().count() > lines;
-    run.wait_for(&record, has(1000));
-    run.signal("STOP");
-    run.signal("CONT");
-    run.wait_for(&record, has(2000));
-    run.signal("USR1");
-    let output = run.output();
-    let report = output.json();
-    let processes = processes(&file);
-    let asked = processes.last().expect("there is one");
-    assert!(asked.starts_with("on request: cycle "), "{processes:?}");
-    let worst = &report["cycle"]["worst"][0];
-    let expected = format!(
-        "spike 1: {:.0} µs late, {}, cycle {}",
-        worst["late_us"].as_f64().expect("a number"),
-        worst["cause"].as_str().expect("a cause"),
-        worst["cycle"]
-    );
-    assert_eq!(processes[0], expected, "{report}");
-    let text = fs::read_to_string(&file).expect("it was written");
-    let cause = worst["cause"].as_str().expect("a cause");
-    assert!(text.contains(&format!("µs: {cause}")), "{report}");
+    by_the_clock(0.3, PERIOD, || {
+        let directory = Directory::new();
+        let cell = directory.cell("irb6", shorten);
+        let [file, record] = ["spikes.json", "states.csv"].map(|name| directory.path(name));
+        let run = Running::start([
+            "run".as_ref(),
+            cell.as_os_str(),
+            "--json".as_ref(),
+            "--spikes".as_ref(),
+            file.as_os_str(),
+            "--record".as_ref(),
+            record.as_os_str(),
+        ]);
+        let has = |lines: usize| move |text: &str| text.lines().count() > lines;
+        run.wait_for(&record, has(1000));
+        run.signal("STOP");
+        run.signal("CONT");
+        run.wait_for(&record, has(2000));
+        run.signal("USR1");
+        let output = run.output();
+        let report = output.json();
+        let processes = processes(&file);
+        let asked = processes.last().expect("there is one");
+        assert!(asked.starts_with("on request: cycle "), "{processes:?}");
+        let worst = &report["cycle"]["worst"][0];
+        let expected = format!(
+            "spike 1: {:.0} µs late, {}, cycle {}",
+            worst["late_us"].as_f64().expect("a number"),
+            worst["cause"].as_str().expect("a cause"),
+            worst["cycle"]
+        );
+        assert_eq!(processes[0], expected, "{report}");
+        let text = fs::read_to_string(&file).expect("it was written");
+        let cause = worst["cause"].as_str().expect("a cause");
+        assert!(text.contains(&format!("µs: {cause}")), "{report}");
+    });
 }
 
-/// The process at the other end of the lines is stopped, so that the drives cannot come up before the request. On a busy
-/// host it may be stopped for longer than the bring-up waits. Such a run is refused and repeated.
+/// The process at the other end of the lines is stopped, so that the drives cannot come up before the request.
 #[test]
 fn cycles_that_are_asked_for_before_the_drives_are_up_are_the_first() {
-    let _turn = turn();
-    let directory = Directory::new();
-    let cell = directory.cell("irb6-serial", |cell| {
-        shorten(cell);
-        cell.serial[0].tolerated_missing = 10;
-        cell.serial[0].answer_timeout_ms = 500;
-        cell.max_missed_in_row = 500;
-    });
-    for attempt in 0..5 {
-        let [ttys, file] = ["ttys", "spikes.json"].map(|name| directory.path(&format!("{attempt}-{name}")));
+    by_the_clock(0.45, PERIOD, || {
+        let directory = Directory::new();
+        let cell = directory.cell("irb6-serial", |cell| {
+            shorten(cell);
+            cell.serial[0].tolerated_missing = 10;
+            cell.serial[0].answer_timeout_ms = 500;
+            cell.max_missed_in_row = 500;
+        });
+        let [ttys, file] = ["ttys", "spikes.json"].map(|name| directory.path(name));
         let emulator = emulate(&cell, &ttys);
         emulator.signal("STOP");
         let run = Running::start([
@@ -115,45 +114,38 @@ fn cycles_that_are_asked_for_before_the_drives_are_up_are_the_first() {
         run.wait_for(&file, |_| true);
         run.signal("USR1");
         emulator.signal("CONT");
-        // A busy host may lose answers on the lines, and the run may end with a fault. The signal itself must not end the
-        // run.
+        // The signal itself must not end the run.
         let output = run.output();
-        assert!(output.status.code().is_some(), "{output:?}");
-        if output.status.code() == Some(2) {
-            println!("attempt {attempt}: {output:?}");
-            continue;
-        }
+        assert!(matches!(output.status.code(), Some(0 | 1)), "{output:?}");
         let processes = processes(&file);
-        let asked = processes.last().map(String::as_str);
-        assert_eq!(asked, Some("on request: cycle 0"));
-        return;
-    }
-    panic!("the drives never came up");
+        assert_eq!(processes.last().map(String::as_str), Some("on request: cycle 0"));
+    });
 }
 
 #[test]
 fn a_measurement_shows_its_late_wake_ups() {
-    let _turn = turn();
-    let directory = Directory::new();
-    let file = directory.path("spikes.json");
-    let cell = example("irb6");
-    let cell = ["--cell".as_ref(), cell.as_os_str()];
-    for more in [&[][..], &cell] {
-        let words = ["jitter", "--duration=1s", "--wait=plain", "--json", "--force", "--spikes"];
-        let words = words.iter().map(AsRef::as_ref);
-        let words = words.chain([file.as_os_str()]).chain(more.iter().copied());
-        let output = mrroc(words);
-        assert_eq!(output.status.code(), Some(0), "{output:?}");
-        let report = output.json();
-        let worst = report["worst"].as_array().expect("a list");
-        let processes = processes(&file);
-        // One spike may contain several late cycles.
-        assert_eq!(processes.is_empty(), worst.is_empty(), "{report}");
-        if let Some(worst) = worst.first() {
-            let late = worst["late_us"].as_f64().expect("a number");
-            let cause = worst["cause"].as_str().expect("a cause");
-            let begins = format!("spike 1: {late:.0} µs late, {cause}, ");
-            assert!(processes[0].starts_with(&begins), "{processes:?} {report}");
+    by_the_clock(0.3, PERIOD, || {
+        let directory = Directory::new();
+        let file = directory.path("spikes.json");
+        let cell = example("irb6");
+        let cell = ["--cell".as_ref(), cell.as_os_str()];
+        for more in [&[][..], &cell] {
+            let words = ["jitter", "--duration=1s", "--wait=plain", "--json", "--force", "--spikes"];
+            let words = words.iter().map(AsRef::as_ref);
+            let words = words.chain([file.as_os_str()]).chain(more.iter().copied());
+            let output = mrroc(words);
+            assert_eq!(output.status.code(), Some(0), "{output:?}");
+            let report = output.json();
+            let worst = report["worst"].as_array().expect("a list");
+            let processes = processes(&file);
+            // One spike may contain several late cycles.
+            assert_eq!(processes.is_empty(), worst.is_empty(), "{report}");
+            if let Some(worst) = worst.first() {
+                let late = worst["late_us"].as_f64().expect("a number");
+                let cause = worst["cause"].as_str().expect("a cause");
+                let begins = format!("spike 1: {late:.0} µs late, {cause}, ");
+                assert!(processes[0].starts_with(&begins), "{processes:?} {report}");
+            }
         }
-    }
+    });
 }

@@ -1,12 +1,12 @@
 //! Cycles of start and stop with random signals.
 
-use kit::bench::patient_turn;
 use kit::mrroc::{Directory, binary, root};
+use kit::processors;
 use kit::start_stop::Place;
 
 #[test]
 fn a_cell_that_is_started_and_stopped_leaves_nothing_behind() {
-    let _turn = patient_turn();
+    let _share = processors::take(0.45);
     let directory = Directory::new();
     let place = directory.path("place");
     std::fs::create_dir(&place).unwrap();

@@ -25,16 +25,13 @@ use canopen::{NodeId, Object, cob};
 use drive::bus::CanBus;
 use drive::cia402::{AxisConfig, GroupConfig, Recording};
 use drive::{AxisCommand, AxisState, DriveGroup, Finite, Homing, Increments, Setpoint};
-use kit::bench::{on_vcan, turn};
+use kit::bench::{bodies_on_vcan, on_vcan};
 use kit::mrroc::{self, Directory, Output, Running};
 use kit::slow::shorten;
 use kit::wire;
 
 /// Longest time until a process is ready.
 const PATIENCE: Duration = Duration::from_secs(30);
-
-/// Number of runs on a test machine that delays cycles.
-const ATTEMPTS: usize = 4;
 
 /// Number of lost heartbeats after which a drive stops.
 const LOST: u32 = 3;
@@ -46,18 +43,27 @@ pub(crate) struct Stage<'a> {
     pub(crate) cell: Cell,
 }
 
-/// Runs `body` if `test` has an interface, with the program built before.
-pub(crate) fn on_stage(test: &str, body: impl FnOnce(&mut Stage)) {
-    let _turn = turn();
-    on_vcan(test, |interface| {
-        let directory = Directory::new();
-        let mut stage = Stage { interface, cell: Cell::parse(&mrroc::text("irb6")).unwrap(), directory };
-        stage.change(shorten);
-        body(&mut stage);
-    });
+/// A body of a test on an interface, with the name of its claim.
+pub(crate) type Body = (&'static str, fn(&mut Stage));
+
+/// Runs `body`, by the clock, on an interface with the cell.
+pub(crate) fn on_stage(test: &str, mut body: impl FnMut(&mut Stage)) {
+    on_vcan(test, |interface| body(&mut Stage::on(interface)));
 }
 
-impl Stage<'_> {
+/// Runs independent bodies, one after another, on one interface. Each has a cell of its own, and is reported by its name.
+pub(crate) fn bodies_on_stage(test: &str, bodies: &[Body]) {
+    bodies_on_vcan(test, bodies, |interface, body| body(&mut Stage::on(interface)));
+}
+
+impl<'a> Stage<'a> {
+    pub(crate) fn on(interface: &'a str) -> Self {
+        let cell = Cell::parse(&mrroc::text("irb6")).unwrap();
+        let mut stage = Stage { interface, cell, directory: Directory::new() };
+        stage.change(shorten);
+        stage
+    }
+
     pub(crate) fn change(&mut self, change: impl FnOnce(&mut Cell)) {
         change(&mut self.cell);
         let text = toml::to_string(&self.cell).unwrap();
@@ -301,84 +307,80 @@ fn by_identifier(frames: impl Iterator<Item = Frame>) -> BTreeMap<u16, Vec<Strin
 }
 
 #[test]
-fn a_recorded_run_replays_into_the_same_axis_states() {
-    on_stage("vcan::a_recorded_run_replays_into_the_same_axis_states", |stage| {
-        stage.change(|cell| cell.robot[0].program.truncate(1));
-        let run = || {
-            let processes = (stage.start_candump(), stage.start_emulators());
-            let output = stage.start_controller().output();
-            let report = output.json();
-            assert_eq!(output.status.code(), Some(0), "{output:?}");
-            assert_eq!(report["outcome"], "completed", "{report}");
-            assert_eq!(report["faults"], serde_json::json!([]), "{report}");
-            (processes, report)
-        };
-        let (mut processes, mut report) = run();
-        for _ in 1..ATTEMPTS {
-            // A frame that comes between the reading of a cycle and its SYNC, in a cycle that the machine delays, belongs to
-            // this cycle in the recording and to the next cycle in the run.
-            if report["cycle"]["step_us"]["max"].as_f64() < Some(f64::from(stage.cell.period_us)) {
-                break;
-            }
-            println!("again, the machine delayed a cycle: {}", report["cycle"]["step_us"]);
-            drop(processes);
-            (processes, report) = run();
-        }
-        let states = fs::read_to_string(stage.directory.path("states.csv")).unwrap();
-        let sent = |name| stage.recording(name).from_host().count();
-        wait_until("candump has written all", || sent("bus.log") == sent("trace.log"));
-        // candump records the kernel's times of the SYNCs, which include delays of the kernel. The trace records
-        // the times of the run with a resolution of a microsecond.
-        replays(&stage.recording("bus.log"), &stage.cell, &states, f64::MAX);
-        replays(&stage.recording("trace.log"), &stage.cell, &states, 1e-3);
-        // candump, as a separate process, received the same time stamps.
-        let bus = frames_of(&stage.directory.path("bus.log"));
-        wire::agrees(&report["wire"], &stage.cell, &bus);
-    });
+fn a_controller_and_emulators_as_two_processes() {
+    bodies_on_stage(
+        "vcan::a_controller_and_emulators_as_two_processes",
+        &[
+            ("a recorded run replays into the same axis states", a_recorded_run_replays_into_the_same_axis_states),
+            ("drives that vanish in motion are a fault", drives_that_vanish_in_motion_are_a_fault),
+            ("an interface that goes down in motion is a fault", an_interface_that_goes_down_in_motion_is_a_fault),
+            (
+                "drives brake by themselves when the controller vanishes",
+                drives_brake_by_themselves_when_the_controller_vanishes,
+            ),
+            ("an error that is no fault is in the report", an_error_that_is_no_fault_is_in_the_report),
+            ("a bus without drives is refused", a_bus_without_drives_is_refused),
+        ],
+    );
 }
 
-#[test]
-fn drives_that_vanish_in_motion_are_a_fault() {
-    on_stage("vcan::drives_that_vanish_in_motion_are_a_fault", |stage| {
-        let (emulators, controller) = stage.start_moving();
-        emulators.signal("KILL");
-        let silence = format!("no answer for {} cycles", stage.cell.bus[0].tolerated_missing + 1);
-        faulted(&controller.output(), &[&silence, "no heartbeat"]);
-        stage.replays_fault();
-    });
+fn a_recorded_run_replays_into_the_same_axis_states(stage: &mut Stage) {
+    stage.change(|cell| cell.robot[0].program.truncate(1));
+    let (_candump, _emulators) = (stage.start_candump(), stage.start_emulators());
+    let output = stage.start_controller().output();
+    let report = output.json();
+    assert_eq!(output.status.code(), Some(0), "{output:?}");
+    assert_eq!(report["outcome"], "completed", "{report}");
+    assert_eq!(report["faults"], serde_json::json!([]), "{report}");
+    // A frame that comes between the reading of a cycle and its SYNC, in a cycle that the machine delays, belongs to
+    // this cycle in the recording and to the next cycle in the run.
+    let step = &report["cycle"]["step_us"];
+    assert!(step["max"].as_f64() < Some(f64::from(stage.cell.period_us)), "the machine delayed a cycle: {step}");
+    let states = fs::read_to_string(stage.directory.path("states.csv")).unwrap();
+    let sent = |name| stage.recording(name).from_host().count();
+    wait_until("candump has written all", || sent("bus.log") == sent("trace.log"));
+    // candump records the kernel's times of the SYNCs, which include delays of the kernel. The trace records
+    // the times of the run with a resolution of a microsecond.
+    replays(&stage.recording("bus.log"), &stage.cell, &states, f64::MAX);
+    replays(&stage.recording("trace.log"), &stage.cell, &states, 1e-3);
+    // candump, as a separate process, received the same time stamps.
+    let bus = frames_of(&stage.directory.path("bus.log"));
+    wire::agrees(&report["wire"], &stage.cell, &bus);
 }
 
-#[test]
-fn an_interface_that_goes_down_in_motion_is_a_fault() {
-    on_stage("vcan::an_interface_that_goes_down_in_motion_is_a_fault", |stage| {
-        let (_emulators, controller) = stage.start_moving();
-        let down = ["link", "set", stage.interface, "down"];
-        assert!(Command::new("ip").args(down).status().unwrap().success());
-        let output = controller.output();
-        let up = ["link", "set", stage.interface, "up"];
-        assert!(Command::new("ip").args(up).status().unwrap().success());
-        faulted(&output, &["bus arm: interface is down"]);
-        stage.replays_fault();
-    });
+fn drives_that_vanish_in_motion_are_a_fault(stage: &mut Stage) {
+    let (emulators, controller) = stage.start_moving();
+    emulators.signal("KILL");
+    let silence = format!("no answer for {} cycles", stage.cell.bus[0].tolerated_missing + 1);
+    faulted(&controller.output(), &[&silence, "no heartbeat"]);
+    stage.replays_fault();
 }
 
-#[test]
-fn drives_brake_by_themselves_when_the_controller_vanishes() {
-    on_stage("vcan::drives_brake_by_themselves_when_the_controller_vanishes", |stage| {
-        stage.change(|cell| cell.bus[0].heartbeat_ms = 300);
-        let _candump = stage.start_candump();
-        let (_emulators, controller) = stage.start_moving();
-        controller.signal("KILL");
-        let host = NodeId::new(stage.cell.bus[0].host_node).unwrap();
-        let said = || frames_of(&stage.directory.path("bus.log"));
-        wait_until("every drive has told how it stands", || {
-            ask_how_it_stands(stage.interface, &stage.cell, stage.heartbeat());
-            let frames = said();
-            let mut axes = stage.cell.robot[0].axis.iter();
-            axes.all(|axis| lost(&frames, host, axis).is_some_and(|lost| lost.told(&frames, axis)))
-        });
-        stopped(&said(), &stage.cell);
+fn an_interface_that_goes_down_in_motion_is_a_fault(stage: &mut Stage) {
+    let (_emulators, controller) = stage.start_moving();
+    let down = ["link", "set", stage.interface, "down"];
+    assert!(Command::new("ip").args(down).status().unwrap().success());
+    let output = controller.output();
+    let up = ["link", "set", stage.interface, "up"];
+    assert!(Command::new("ip").args(up).status().unwrap().success());
+    faulted(&output, &["bus arm: interface is down"]);
+    stage.replays_fault();
+}
+
+fn drives_brake_by_themselves_when_the_controller_vanishes(stage: &mut Stage) {
+    stage.change(|cell| cell.bus[0].heartbeat_ms = 300);
+    let _candump = stage.start_candump();
+    let (_emulators, controller) = stage.start_moving();
+    controller.signal("KILL");
+    let host = NodeId::new(stage.cell.bus[0].host_node).unwrap();
+    let said = || frames_of(&stage.directory.path("bus.log"));
+    wait_until("every drive has told how it stands", || {
+        ask_how_it_stands(stage.interface, &stage.cell, stage.heartbeat());
+        let frames = said();
+        let mut axes = stage.cell.robot[0].axis.iter();
+        axes.all(|axis| lost(&frames, host, axis).is_some_and(|lost| lost.told(&frames, axis)))
     });
+    stopped(&said(), &stage.cell);
 }
 
 /// Values of `object` that `node` reported after `after`.
@@ -498,42 +500,36 @@ pub(crate) fn stand_without_power(interface: &str, directory: &Directory, cell: 
     }
 }
 
-#[test]
-fn an_error_that_is_no_fault_is_in_the_report() {
-    on_stage("vcan::an_error_that_is_no_fault_is_in_the_report", |stage| {
-        stage.change(|cell| cell.robot[0].program.truncate(1));
-        let (_emulators, controller) = stage.start_moving();
-        let port = SocketCanPort::open(stage.interface, &SocketCanOptions::default());
-        let overrun = Emergency {
-            node: NodeId::new(1).unwrap(),
-            code: 0x8110,
-            error_register: ErrorRegister::COMMUNICATION,
-            vendor: [0; 5],
-        };
-        let frames = [overrun.encode(); 2];
-        assert_eq!(port.unwrap().send(clock::now(), &frames), Ok(2));
-        let output = controller.output();
-        assert_eq!(output.status.code(), Some(0), "{output:?}");
-        let report = output.json();
-        let warnings = report["warnings"].as_array().unwrap();
-        let [warning] = warnings.as_slice() else {
-            panic!("{report}");
-        };
-        assert_eq!(warning["axis"], "column", "{report}");
-        for (key, value) in [("node", 1), ("code", 0x8110), ("register", 16), ("count", 2)] {
-            assert_eq!(warning[key], value, "{report}");
-        }
-        assert!(warning["time_s"].as_f64().unwrap() > 0.0, "{report}");
-        assert_eq!(report["more_warnings"], 0, "{report}");
-    });
+fn an_error_that_is_no_fault_is_in_the_report(stage: &mut Stage) {
+    stage.change(|cell| cell.robot[0].program.truncate(1));
+    let (_emulators, controller) = stage.start_moving();
+    let port = SocketCanPort::open(stage.interface, &SocketCanOptions::default());
+    let overrun = Emergency {
+        node: NodeId::new(1).unwrap(),
+        code: 0x8110,
+        error_register: ErrorRegister::COMMUNICATION,
+        vendor: [0; 5],
+    };
+    let frames = [overrun.encode(); 2];
+    assert_eq!(port.unwrap().send(clock::now(), &frames), Ok(2));
+    let output = controller.output();
+    assert_eq!(output.status.code(), Some(0), "{output:?}");
+    let report = output.json();
+    let warnings = report["warnings"].as_array().unwrap();
+    let [warning] = warnings.as_slice() else {
+        panic!("{report}");
+    };
+    assert_eq!(warning["axis"], "column", "{report}");
+    for (key, value) in [("node", 1), ("code", 0x8110), ("register", 16), ("count", 2)] {
+        assert_eq!(warning[key], value, "{report}");
+    }
+    assert!(warning["time_s"].as_f64().unwrap() > 0.0, "{report}");
+    assert_eq!(report["more_warnings"], 0, "{report}");
 }
 
-#[test]
-fn a_bus_without_drives_is_refused() {
-    on_stage("vcan::a_bus_without_drives_is_refused", |stage| {
-        stage.change(|cell| cell.bus[0].boot_timeout_ms = 1000);
-        let output = stage.start_controller().output();
-        assert_eq!(output.status.code(), Some(2), "{output:?}");
-        assert!(output.stderr.contains("bus arm, axis column: node 1: never booted"), "{output:?}");
-    });
+fn a_bus_without_drives_is_refused(stage: &mut Stage) {
+    stage.change(|cell| cell.bus[0].boot_timeout_ms = 1000);
+    let output = stage.start_controller().output();
+    assert_eq!(output.status.code(), Some(2), "{output:?}");
+    assert!(output.stderr.contains("bus arm, axis column: node 1: never booted"), "{output:?}");
 }

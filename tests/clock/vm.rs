@@ -7,8 +7,9 @@ use std::os::unix::process::{CommandExt, ExitStatusExt};
 use std::path::Path;
 use std::process::{Child, ChildStdout, Command, Output, Stdio};
 
-use kit::bench::left_out;
+use kit::bench::{UML, left_out};
 use kit::mrroc;
+use kit::processors;
 
 use crate::uml::{Scratch, processes_of};
 use crate::vcan::wait_until;
@@ -64,6 +65,7 @@ fn no_process_and_no_directory_stays_however_the_command_is_ended() {
     if left_out("vm") {
         return;
     }
+    let _share = processors::take(UML);
     let ends = [("HUP", 1), ("INT", 2), ("QUIT", 3), ("KILL", 9), ("TERM", 15)];
     let mut begun = ends.map(|(name, number)| (name, number, Begun::new(&format!("vm-{name}"))));
     for (name, number, machine) in &mut begun {
@@ -91,6 +93,7 @@ fn the_directory_of_a_machine_is_its_users_alone_and_has_no_name_to_be_guessed()
     if left_out("vm") {
         return;
     }
+    let _share = processors::take(UML);
     let mut begun = Begun::new("vm-private");
     begun.wait_for_the_command();
     let names = begun.scratch.names();
@@ -109,6 +112,7 @@ fn a_planted_link_is_not_followed() {
     if left_out("vm") {
         return;
     }
+    let _share = processors::take(UML);
     let [scratch, precious] = ["vm-planted", "vm-precious"].map(Scratch::new);
     fs::write(precious.0.join("file"), "").unwrap();
     let plant = "ln -s \"$1\" \"$TMPDIR/mrroc-uml-$$-0\" && shift && exec \"$@\"";
@@ -136,6 +140,7 @@ fn a_directory_that_other_users_can_change_is_refused() {
     if left_out("vm") {
         return;
     }
+    let _share = processors::take(UML);
     let scratch = Scratch::new("vm-shared");
     let place = |name: &str| scratch.0.join(name);
     fs::create_dir_all(place("shared/out")).unwrap();
@@ -162,6 +167,7 @@ fn directories_of_any_name_are_seen_and_written_to() {
     if left_out("vm") {
         return;
     }
+    let _share = processors::take(UML);
     let scratch = Scratch::new("vm-names");
     let place = |name: &str| scratch.0.join(name);
     let (work, out) = ("w\"o'r k,$(x)", "a\"b'c d,e=f");

@@ -5,8 +5,9 @@ use std::time::Duration;
 
 use ::mrroc::cell::Cell;
 use hil::qemu::{Clock, MachineError, Options, run};
-use kit::bench::kernel;
+use kit::bench::{QEMU, kernel};
 use kit::mrroc::{self, Directory, text};
+use kit::processors;
 use kit::slow;
 
 /// The watchdog of the machine expires after 30 s.
@@ -22,6 +23,7 @@ const SCRIPT: &str = "
 #[test]
 fn a_watchdog_of_the_host_expires_after_the_controller_was_killed_and_not_after_an_orderly_end() {
     let Some(kernel) = kernel("watchdog") else { return };
+    let _share = processors::take(QEMU);
     let directory = Directory::new();
     let mut cell = Cell::parse(&text("irb6")).unwrap();
     slow::shorten(&mut cell);

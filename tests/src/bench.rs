@@ -7,74 +7,96 @@
 //! The variable for tests of cards is `HIL_CARDS=can0,can1`, which names two cards on one bus. Without it, these tests
 //! run in a PC that QEMU emulates; `MRROC_LEAVE_OUT=qemu` permits leaving them out.
 
+use std::env;
 use std::fmt::{Debug, Display};
-use std::process::{Command, Stdio};
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::io::{self, Write};
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::time::Duration;
-use std::{env, fs};
 
 use hil::{qemu, uml};
 
+use crate::disturbance::{NEGATIVE, by_the_clock};
 use crate::mrroc;
+use crate::processors::{self, ALL};
 
-/// The turn of a test by the clock, which one test at a time holds. Its programs miss deadlines while they wait for a
-/// processor, and therefore precede those of other tests, which only root may arrange. Builds the programs before.
-pub fn turn() -> MutexGuard<'static, ()> {
-    static TURN: Mutex<()> = Mutex::new(());
-    turn_of(&TURN, "-15")
-}
+/// Mean use of processors by a test in user-mode Linux, and in a PC that QEMU emulates.
+pub const UML: f64 = 0.5;
+pub const QEMU: f64 = 0.9;
 
-/// The turn of a test by the clock that repeats a run after a disturbance by the host. One such test runs at the same
-/// time as a test of [`turn`]. The programs of the test of [`turn`] have a higher priority.
-pub fn patient_turn() -> MutexGuard<'static, ()> {
-    static TURN: Mutex<()> = Mutex::new(());
-    turn_of(&TURN, "-8")
-}
+/// Shortest delay that disturbs a run in a test machine: the servo period of [`crate::slow`].
+const UNBEARABLE: Duration = Duration::from_millis(10);
 
-fn turn_of(turn: &'static Mutex<()>, niceness: &str) -> MutexGuard<'static, ()> {
-    mrroc::binary();
-    let turn = turn.lock().unwrap_or_else(PoisonError::into_inner);
-    // Programs inherit the priority of the thread that starts them, which is this test's own.
-    let thread = fs::read_link("/proc/thread-self").expect("Linux");
-    let thread = thread.file_name().expect("PID/task/TID");
-    let mut renice = Command::new("renice");
-    let renice = renice.args(["-n", niceness, "-p"]).arg(thread);
-    let _ = renice.stdout(Stdio::null()).stderr(Stdio::null()).status();
-    turn
-}
+/// Time limit of a test machine.
+const LONGEST: Duration = Duration::from_secs(300);
 
-/// Runs `body` on a SocketCAN interface. `body` receives the name of the interface.
+/// A body that runs on an interface, with the name of its claim.
+pub type Body = (&'static str, fn(&str));
+
+/// Runs `body` on a SocketCAN interface, by the clock. `body` receives the name of the interface.
 ///
 /// `test` is the path of the calling test, such as `socketcan::frames_come_back`. Inside the test machine, this binary
-/// runs that test again. The time limit of the test machine is two minutes.
-pub fn on_vcan(test: &str, body: impl FnOnce(&str)) {
-    on_vcan_within(Duration::from_secs(120), test, body);
+/// runs that test again. The time limit of the test machine is five minutes.
+pub fn on_vcan(test: &str, body: impl FnMut(&str)) {
+    on_vcan_within(LONGEST, test, body);
 }
 
 /// As [`on_vcan`], with another time limit for the test machine.
-pub fn on_vcan_within(timeout: Duration, test: &str, body: impl FnOnce(&str)) {
+pub fn on_vcan_within(timeout: Duration, test: &str, mut body: impl FnMut(&str)) {
+    in_uml(timeout, test, |interface| by_the_clock(ALL, UNBEARABLE, || body(interface)));
+}
+
+/// Runs independent bodies, one after another, on one interface. Each has a name, by which it is reported. `run` runs a
+/// body on the interface.
+pub fn bodies_on_vcan<B>(test: &str, bodies: &[(&str, B)], run: impl Fn(&str, &B)) {
+    in_uml(2 * LONGEST, test, |interface| {
+        let run = &run;
+        each(bodies.iter().map(|(name, body)| {
+            let body = move || by_the_clock(ALL, UNBEARABLE, || run(interface, body));
+            (*name, body)
+        }));
+    });
+}
+
+/// Runs all bodies, and prints the result of each. Panics at the end if one has failed.
+pub fn each<'a>(bodies: impl Iterator<Item = (&'a str, impl FnOnce())>) {
+    let failed: Vec<_> = bodies
+        .filter_map(|(name, body)| {
+            let passed = catch_unwind(AssertUnwindSafe(body)).is_ok();
+            println!("{name} ... {}", if passed { "ok" } else { "FAILED" });
+            (!passed).then_some(name)
+        })
+        .collect();
+    assert!(failed.is_empty(), "failed: {failed:?}");
+}
+
+/// As [`on_vcan_within`], for a body that consists of several runs by the clock.
+pub fn in_uml(timeout: Duration, test: &str, body: impl FnOnce(&str)) {
     if let Some(interface) = env::var("HIL_CAN").ok().filter(|name| !name.is_empty()) {
         return body(&interface);
     }
     if left_out(test) {
         return;
     }
+    let _share = processors::take(UML);
     let options = again(test, ("HIL_CAN", "vcan0"), timeout);
     let mut output = Vec::new();
     let outcome = uml::run(&options, &mut output);
     judge(test, &outcome, &output);
 }
 
-/// Runs `body` on two cards of one bus, whose names it receives. The time limit of the test machine is three minutes.
-pub fn on_cards(test: &str, body: impl FnOnce(&str, &str)) {
-    mrroc::binary();
+/// A body that runs on two cards of one bus, with the name of its claim. It receives the names of the cards.
+pub type BodyOnCards = (&'static str, fn(&str, &str));
+
+/// As [`bodies_on_vcan`], on two cards of one bus.
+pub fn bodies_on_cards(test: &str, bodies: &[BodyOnCards]) {
     if let Some(cards) = env::var("HIL_CARDS").ok().filter(|cards| !cards.is_empty()) {
         let (here, there) = cards.split_once(',').expect("HIL_CARDS has two names");
-        return body(here, there);
+        let run = |body: &fn(&str, &str)| by_the_clock(ALL, 2 * UNBEARABLE, || body(here, there));
+        return each(bodies.iter().map(|(name, body)| (*name, move || run(body))));
     }
     if let Some(kernel) = kernel(test) {
-        let timeout = Duration::from_secs(170);
-        let options = again(test, ("HIL_CARDS", "can0,can1"), timeout);
+        let _share = processors::take(QEMU);
+        let options = again(test, ("HIL_CARDS", "can0,can1"), 2 * LONGEST);
         let mut output = Vec::new();
         let outcome = qemu::run(&kernel, qemu::Clock::Host, &options, &mut output);
         judge(test, &outcome, &output);
@@ -111,6 +133,9 @@ fn judge<E: Debug + PartialEq>(test: &str, outcome: &Result<u8, E>, output: &[u8
     // The test runner does not report a path that names no test.
     let ran = output.contains("1 passed");
     assert!(*outcome == Ok(0) && ran, "{test} in the test machine: {outcome:?}\n{output}");
+    for line in output.lines().filter(|line| line.contains(NEGATIVE)) {
+        let _ = writeln!(io::stderr(), "{line}");
+    }
     print!("{output}");
 }
 

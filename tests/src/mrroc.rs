@@ -16,6 +16,8 @@ use std::time::Duration;
 use ::mrroc::cell::Cell;
 use can::candump;
 
+use crate::disturbance;
+
 /// Upper bound for the duration of a command.
 const DEADLINE: Duration = Duration::from_secs(300);
 
@@ -213,6 +215,7 @@ impl Running {
             .stderr(Stdio::piped())
             .spawn()
             .unwrap_or_else(|error| panic!("{command:?} does not start: {error}"));
+        disturbance::observe(child.id());
         let stdout = child.stdout.take().map(read);
         let stderr = read(child.stderr.take().expect("stderr is piped"));
         Self { child, stdout, stderr }
@@ -288,6 +291,7 @@ impl Running {
         let stdout = stdout.recv_timeout(DEADLINE).expect(closed);
         let stderr = self.stderr.recv_timeout(DEADLINE).expect(closed);
         let status = self.child.wait().expect("mrroc can be waited for");
+        disturbance::report(&stdout);
         Output { status, stdout, stderr }
     }
 }
@@ -341,6 +345,12 @@ impl Directory {
         change(&mut cell);
         let text = toml::to_string(&cell).expect("a cell is TOML");
         self.write("cell.toml", &text)
+    }
+}
+
+impl Default for Directory {
+    fn default() -> Self {
+        Self::new()
     }
 }
 

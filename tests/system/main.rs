@@ -17,6 +17,7 @@ mod contour;
 mod cycle;
 mod datasheet;
 mod digital_io;
+mod disturbance;
 mod doctor;
 mod drive_parameters;
 mod emergency_stop;

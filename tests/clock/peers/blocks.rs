@@ -9,6 +9,7 @@ use canopen::sdo::{AbortCode, Dictionary, MAX_SIZE, Server};
 use canopen::{NodeId, Object};
 use hil::Device;
 use kit::adapter::Adapter;
+use kit::processors;
 
 use super::{Bus, judged, python};
 
@@ -71,6 +72,7 @@ impl Device for Store {
 fn python_canopen_moves_blocks_of_every_size_both_ways() {
     let test = "peers::blocks::python_canopen_moves_blocks_of_every_size_both_ways";
     let Some(python) = python(test) else { return };
+    let _share = processors::take(0.6);
     for block_size in [127, 5] {
         let store = Store {
             server: Server::new(Duration::from_secs(1)).with_block_size(block_size),

@@ -3,6 +3,7 @@
 use std::process::Command;
 
 use kit::mrroc::{self, ROBOTS};
+use kit::processors;
 
 use super::{PATIENCE, judged, python};
 
@@ -10,6 +11,7 @@ use super::{PATIENCE, judged, python};
 fn pinocchio_finds_the_same_flange_and_jacobian_for_every_robot() {
     let test = "peers::bodies::pinocchio_finds_the_same_flange_and_jacobian_for_every_robot";
     let Some(python) = python(test) else { return };
+    let _share = processors::take(0.9);
     for robot in ROBOTS {
         let mut script = Command::new("timeout");
         script.args(["--signal=KILL", PATIENCE]).arg(&python);

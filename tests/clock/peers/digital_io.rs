@@ -4,6 +4,7 @@ use can::{Frame, Instant, clock};
 use canopen::NodeId;
 use hil::{Device, DigitalIo, DigitalIoConfig};
 use kit::adapter::Adapter;
+use kit::processors;
 
 use super::{Bus, judged, python};
 
@@ -48,6 +49,7 @@ impl Device for Wired {
 fn python_canopen_finds_an_emulated_io_module_right() {
     let test = "peers::digital_io::python_canopen_finds_an_emulated_io_module_right";
     let Some(python) = python(test) else { return };
+    let _share = processors::take(0.6);
     let node = NodeId::new(1).unwrap();
     let config =
         DigitalIoConfig { input_bytes: 8, output_bytes: 8, power_on: clock::now(), ..DigitalIoConfig::new(node) };

@@ -16,6 +16,7 @@ use hil::{
 };
 use kit::adapter::Adapter;
 use kit::mrroc;
+use kit::processors;
 use serial::{Line, Tty};
 
 use super::{Bus, PATIENCE, Script, judged, python};
@@ -85,6 +86,7 @@ impl Drop for Stop<'_> {
 fn an_independent_client_finds_the_emulated_force_sensor_right() {
     let test = "peers::force::an_independent_client_finds_the_emulated_force_sensor_right";
     let Some(python) = python(test) else { return };
+    let _share = processors::take(0.5);
     for case in CASES {
         let [force, torque] = case.noise;
         let noise = [force, force, force, torque, torque, torque];
@@ -147,6 +149,7 @@ impl PythonSensor {
 fn the_independent_client_finds_the_sensor_in_python_right() {
     let test = "peers::force::the_independent_client_finds_the_sensor_in_python_right";
     let Some(python) = python(test) else { return };
+    let _share = processors::take(0.5);
     for case in CASES {
         let mut sensor = PythonSensor::start(&mut case.script(&python, "force_sensor.py"));
         case.judge(&python, &sensor.tty);
@@ -159,6 +162,7 @@ fn the_independent_client_finds_the_sensor_in_python_right() {
 fn the_sensor_in_python_obeys_its_commands() {
     let test = "peers::force::the_sensor_in_python_obeys_its_commands";
     let Some(python) = python(test) else { return };
+    let _share = processors::take(0.5);
     let mut sensor = PythonSensor::start(CASES[1].script(&python, "force_sensor.py").arg("--silent"));
     let mut host = Tty::open(&sensor.tty, SerialForceSensor::SETTINGS).unwrap();
     let mut received = Vec::new();
@@ -206,6 +210,7 @@ fn the_sensor_in_python_obeys_its_commands() {
 fn python_canopen_finds_the_emulated_force_sensor_right() {
     let test = "peers::force::python_canopen_finds_the_emulated_force_sensor_right";
     let Some(python) = python(test) else { return };
+    let _share = processors::take(0.5);
     let load = CASES[0].load;
     let config = CanForceSensorConfig::new(NodeId::new(1).unwrap(), TransducerConfig::default());
     let config = CanForceSensorConfig { power_on: clock::now(), ..config };

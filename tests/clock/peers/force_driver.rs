@@ -16,6 +16,7 @@ use drive::wrench::{
 };
 use drive::{BringUpError, DriveGroup};
 use kit::mrroc;
+use kit::processors;
 use serial::{LineError, Tty};
 
 use super::force::PythonSensor;
@@ -162,6 +163,7 @@ fn ages(states: &[WrenchState]) -> Vec<u32> {
 fn the_driver_reads_the_wrenches_of_the_sensor_in_python_and_zeroes_it() {
     let test = "peers::force_driver::the_driver_reads_the_wrenches_of_the_sensor_in_python_and_zeroes_it";
     let Some(python) = python(test) else { return };
+    let _share = processors::take(0.5);
     let mut rig = Rig::up(&python, &[], WrenchConfig::ATI);
     let loads = [
         [12.0, -30.0, 45.0, 1.0, -2.0, 3.0],
@@ -197,6 +199,7 @@ fn the_driver_reads_the_wrenches_of_the_sensor_in_python_and_zeroes_it() {
 fn the_bias_of_the_sensor_in_python_is_the_zero_of_the_driver() {
     let test = "peers::force_driver::the_bias_of_the_sensor_in_python_is_the_zero_of_the_driver";
     let Some(python) = python(test) else { return };
+    let _share = processors::take(0.5);
     let config = WrenchConfig { zero: ZeroMethod::Device, ..WrenchConfig::ATI };
     let mut rig = Rig::up(&python, &[], config);
     let load = [20.0, -10.0, 5.0, 0.5, -0.5, 1.0];
@@ -221,6 +224,7 @@ fn the_bias_of_the_sensor_in_python_is_the_zero_of_the_driver() {
 fn silence_of_the_sensor_in_python_is_a_fault_with_the_age_of_the_last_sample() {
     let test = "peers::force_driver::silence_of_the_sensor_in_python_is_a_fault_with_the_age_of_the_last_sample";
     let Some(python) = python(test) else { return };
+    let _share = processors::take(0.5);
     let mut rig = Rig::silent(&python, &[], WrenchConfig::ATI);
     // No byte can arrive, so the test does not wait.
     match rig.bring_up(Duration::ZERO) {
@@ -255,6 +259,7 @@ fn silence_of_the_sensor_in_python_is_a_fault_with_the_age_of_the_last_sample() 
 fn garbage_between_telegrams_of_the_sensor_in_python_is_no_wrench() {
     let test = "peers::force_driver::garbage_between_telegrams_of_the_sensor_in_python_is_no_wrench";
     let Some(python) = python(test) else { return };
+    let _share = processors::take(0.5);
     let mut rig = Rig::up(&python, &[], WrenchConfig::ATI);
     let load = [12.0, -30.0, 45.0, 1.0, -2.0, 3.0];
     rig.load(load);
@@ -296,6 +301,7 @@ fn garbage_between_telegrams_of_the_sensor_in_python_is_no_wrench() {
 fn saturation_of_the_sensor_in_python_is_a_fault_that_names_the_channel() {
     let test = "peers::force_driver::saturation_of_the_sensor_in_python_is_a_fault_that_names_the_channel";
     let Some(python) = python(test) else { return };
+    let _share = processors::take(0.5);
     let mut rig = Rig::up(&python, &["--force-range", "130", "--torque-range", "5"], WrenchConfig::ATI);
     let cases = [
         // Beyond the range of the transducer, which limits the reading.

@@ -14,6 +14,7 @@ use drive::cia401::{InputImage, IoConfig, IoFault, IoLink};
 use drive::cia402::{GroupConfig, Identity};
 use hil::Device;
 use kit::adapter::Adapter;
+use kit::processors;
 
 use super::{Bus, Script, python};
 
@@ -169,6 +170,7 @@ fn reads(image: &InputImage, levels: u64) -> bool {
 fn the_driver_runs_an_io_node_of_python_canopen() {
     let test = "peers::io_driver::the_driver_runs_an_io_node_of_python_canopen";
     let Some(python) = python(test) else { return };
+    let _share = processors::take(0.6);
     let mut rig = Rig::up(&python);
     // Before the first command the outputs have the error values; output 9 is inverted at its terminal.
     rig.until("the error values", |image| reads(image, 0x001));
@@ -216,6 +218,7 @@ fn the_driver_runs_an_io_node_of_python_canopen() {
 fn an_io_node_of_python_canopen_with_another_identity_is_refused() {
     let test = "peers::io_driver::an_io_node_of_python_canopen_with_another_identity_is_refused";
     let Some(python) = python(test) else { return };
+    let _share = processors::take(0.6);
     let mut rig = Rig::new(&python);
     let (group, io) = config();
     let (port, peer) = virtual_port(256);

@@ -5,6 +5,7 @@ use std::io::Write;
 use std::process::{Command, Stdio};
 
 use kit::mrroc::{Directory, mrroc, root};
+use kit::processors;
 
 use super::{PATIENCE, python};
 
@@ -13,6 +14,7 @@ fn histograms_of_a_measurement_read_as_the_report_says() {
     let Some(python) = python("histograms_of_a_measurement_read_as_the_report_says") else {
         return;
     };
+    let _share = processors::take(0.5);
     let scratch = Directory::new();
     let directory = scratch.path("histograms");
     let words = ["jitter", "--duration=3s", "--against=plain", "--json", "--out"];

@@ -2,13 +2,18 @@
 
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
-use kit::bench::{on_vcan, turn};
+use kit::bench::on_vcan;
+use kit::by_the_clock;
 use kit::mrroc::{Directory, Running};
 
 use super::serial::attach;
 use super::{Bus, judged, python};
 use crate::vcan::{on_stage, wait_until};
+
+/// Shortest delay that disturbs a script.
+const SLOW: Duration = Duration::from_millis(20);
 
 /// The drives of an arm behind an emulated adapter, and the symbolic link to its tty.
 struct Emulated {
@@ -39,16 +44,16 @@ fn suite(python: &Path, bus: &Bus) {
 fn python_canopen_finds_an_emulated_drive_right_over_slcan() {
     let test = "peers::master::python_canopen_finds_an_emulated_drive_right_over_slcan";
     let Some(python) = python(test) else { return };
-    let _turn = turn();
-    let emulated = Emulated::start();
-    suite(&python, &Bus::slcan(&emulated.link));
+    by_the_clock(0.7, SLOW, || {
+        let emulated = Emulated::start();
+        suite(&python, &Bus::slcan(&emulated.link));
+    });
 }
 
 #[test]
 fn python_canopen_finds_an_emulated_drive_right_over_the_kernels_slcan() {
     let test = "peers::master::python_canopen_finds_an_emulated_drive_right_over_the_kernels_slcan";
     let Some(python) = python(test) else { return };
-    let _turn = turn();
     on_vcan(test, |_| {
         let emulated = Emulated::start();
         let slcan = attach(&emulated.link, "slcan0");

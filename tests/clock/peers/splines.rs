@@ -6,6 +6,7 @@ use std::process::{Command, Stdio};
 use controller::path::{BSpline, Curve, SplineEnds};
 use kit::draw::Draw;
 use kit::mrroc;
+use kit::processors;
 use nalgebra::Vector3;
 use serde_json::{Value, json};
 
@@ -44,6 +45,7 @@ fn described(spline: &BSpline, through: &Value) -> Value {
 fn scipy_finds_the_same_splines_derivatives_and_lengths() {
     let test = "peers::splines::scipy_finds_the_same_splines_derivatives_and_lengths";
     let Some(python) = python(test) else { return };
+    let _share = processors::take(0.9);
     let mut draw = Draw(7);
     let mut splines = Vec::new();
     for count in [4, 5, 9, 40] {

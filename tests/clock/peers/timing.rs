@@ -12,6 +12,7 @@ use controller::path::{JointPath, SplineEnds};
 use controller::robot::Space;
 use kit::draw::Draw;
 use kit::mrroc;
+use kit::processors;
 use serde_json::{Value, json};
 
 use super::{PATIENCE, python};
@@ -97,6 +98,7 @@ fn judged(python: &std::path::Path, asked: &Value) -> Value {
 fn toppra_finds_the_same_durations_and_no_limit_exceeded_on_random_paths_of_seven_axes() {
     let test = "peers::timing::toppra_finds_the_same_durations_and_no_limit_exceeded_on_random_paths_of_seven_axes";
     let Some(python) = python(test) else { return };
+    let _share = processors::take(0.9);
     let mut draw = Draw(11);
     let (mut asked, mut durations) = (Vec::new(), Vec::new());
     for number in 0..PATHS {
@@ -135,6 +137,7 @@ fn toppra_finds_the_same_durations_and_no_limit_exceeded_on_random_paths_of_seve
 fn ruckig_finds_the_same_durations_of_jerk_limited_motions_of_seven_axes() {
     let test = "peers::timing::ruckig_finds_the_same_durations_of_jerk_limited_motions_of_seven_axes";
     let Some(python) = python(test) else { return };
+    let _share = processors::take(0.9);
     let mut draw = Draw(12);
     let (mut asked, mut durations) = (Vec::new(), Vec::new());
     for number in 0..MOVES {
