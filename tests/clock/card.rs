@@ -83,11 +83,11 @@ fn cards_under_a_real_time_kernel() {
                 "an arm on a card stops when its interface goes down and moves again when it is up",
                 an_arm_stops_when_its_interface_goes_down_and_moves_again_when_it_is_up,
             ),
+            ("an arm behind a card is not moved unasked", an_arm_behind_a_card_is_not_moved_unasked),
             (
                 "a bit rate that cannot be set is refused and doctor puts back what it sets",
                 a_bit_rate_that_cannot_be_set_is_refused_and_doctor_puts_back_what_it_sets,
             ),
-            ("an arm behind a card is not moved unasked", an_arm_behind_a_card_is_not_moved_unasked),
         ],
     );
 }
@@ -129,6 +129,7 @@ fn an_arm_stops_when_its_interface_goes_down_and_moves_again_when_it_is_up(here:
 
 fn a_bit_rate_that_cannot_be_set_is_refused_and_doctor_puts_back_what_it_sets(here: &str, _: &str) {
     let directory = directory_with_cell();
+    sh(&format!("ip link set {here} down; ip link set {here} type can bitrate 500000"));
     sh("ip link del vcanrate 2>/dev/null || true; ip link add dev vcanrate type vcan && ip link set vcanrate up");
     let set = &["--set-bitrate"];
     refused(

@@ -13,7 +13,7 @@ use kit::{PERIOD, by_the_clock};
 
 #[test]
 fn by_the_wall_clock_as_well_no_drive_is_switched_on_that_is_another() {
-    by_the_clock(0.4, PERIOD, || {
+    by_the_clock(0.25, PERIOD, || {
         let directory = Directory::new();
         let cell = directory.cell("irb6", |cell| cell.robot[0].axis[2].emulator.vendor = Some(0x1234));
         let log = directory.path("drives.log");
@@ -86,7 +86,7 @@ const SCALES: &[Scale] = &[
 
 #[test]
 fn a_drive_whose_own_ratios_are_not_the_cells_is_refused_on_a_bus_and_not_switched_on() {
-    let _share = processors::take(0.4);
+    let _share = processors::take(0.25);
     let directory = Directory::new();
     let cell = directory.cell("lab", |cell| {
         cell.robot.retain(|robot| robot.name == "conveyor");

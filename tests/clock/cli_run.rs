@@ -12,7 +12,7 @@ use serde_json::Value;
 
 #[test]
 fn the_wall_clock_bench_completes_without_a_fault() {
-    by_the_clock(0.5, PERIOD, || {
+    by_the_clock(0.3, PERIOD, || {
         let run = mrroc(["run".as_ref(), example("irp6").as_os_str(), "--json".as_ref()]);
         assert_eq!(run.status.code(), Some(0), "{run:?}");
         let report = run.json();
@@ -29,21 +29,21 @@ fn the_wall_clock_bench_completes_without_a_fault() {
 
 #[test]
 fn ctrl_c_in_motion_brakes_the_arm() {
-    by_the_clock(0.4, PERIOD, || {
+    by_the_clock(0.25, PERIOD, || {
         stops_in_motion("INT");
     });
 }
 
 #[test]
 fn sigterm_in_motion_brakes_the_arm() {
-    by_the_clock(0.4, PERIOD, || {
+    by_the_clock(0.25, PERIOD, || {
         stops_in_motion("TERM");
     });
 }
 
 #[test]
 fn ctrl_c_while_homing_ends_the_run_at_once() {
-    by_the_clock(0.4, PERIOD, || {
+    by_the_clock(0.25, PERIOD, || {
         let (run, record) = interrupted("INT", |_| {}, "Homing", 200);
         stopped(&run);
         let last = record.lines().last().unwrap();
@@ -55,14 +55,14 @@ fn ctrl_c_while_homing_ends_the_run_at_once() {
 
 #[test]
 fn a_file_on_a_full_disk_does_not_stop_the_arm_by_the_clock() {
-    by_the_clock(0.4, PERIOD, || {
+    by_the_clock(0.25, PERIOD, || {
         full_disk::does_not_stop_the_arm("emulated");
     });
 }
 
 #[test]
 fn a_stalled_trace_does_not_hold_up_a_stop() {
-    by_the_clock(0.4, PERIOD, || {
+    by_the_clock(0.25, PERIOD, || {
         let directory = Directory::new();
         let [trace, record] = ["trace", "axes.csv"].map(|name| directory.path(name));
         let made = Command::new("mkfifo").arg(&trace).status();

@@ -6,7 +6,7 @@ use kit::processors;
 
 #[test]
 fn a_measurement_ends_as_ever_where_nobody_reads_what_it_prints() {
-    let _share = processors::take(0.5);
+    let _share = processors::take(0.3);
     let directory = Directory::new();
     let cell = directory.cell("irb6", shorten);
     ends_as_ever(&[

@@ -9,7 +9,7 @@ use servo::Servo;
 
 #[test]
 fn scheduled_edges_are_seen_on_the_emulated_bench_by_the_clock() {
-    by_the_clock(0.4, PERIOD, || {
+    by_the_clock(0.25, PERIOD, || {
         const LONGEST: u64 = 10_000;
         let TouchCell { file, emulation, mut servo, _links, probe } = TouchCell::with_edges(&[0.0, 4.0, 4.1]);
         let mut emulation = Some(emulation);

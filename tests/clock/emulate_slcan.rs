@@ -86,7 +86,7 @@ impl Host {
 
 #[test]
 fn drives_behind_an_adapter_answer_and_the_adapter_goes_with_its_emulator() {
-    let _share = processors::take(0.4);
+    let _share = processors::take(0.25);
     let directory = Directory::new();
     let cell = directory.write("cell.toml", &text("irb6"));
     let link = directory.path("can0");

@@ -65,7 +65,7 @@ impl Ports {
 
 #[test]
 fn service_commands_reach_an_emulated_drive_over_its_service_port() {
-    let _share = processors::take(0.4);
+    let _share = processors::take(0.25);
     let ports = Ports::new();
     let read = ports.says("sdo read 1 0x6041 --type u16");
     assert!(read.starts_with("0x6041:00 statusword = 0x"), "{read}");

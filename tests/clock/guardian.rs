@@ -30,7 +30,7 @@ const SILENCE_MS: u32 = 20;
 
 /// Mean use of processors, and the shortest delay that disturbs a run before its failure: more missed deadlines than the
 /// cell permits.
-const PROCESSORS: f64 = 0.7;
+const PROCESSORS: f64 = 0.45;
 const UNBEARABLE: Duration = Duration::from_millis(6);
 
 /// A motor that moves by less than this is at a standstill, rad. The gears reduce by about 150.

@@ -11,7 +11,7 @@ use servo::thread::{CellTime, Realtime, Wait};
 
 #[test]
 fn a_servo_thread_does_not_use_the_heap_however_it_waits() {
-    let _share = processors::take(0.4);
+    let _share = processors::take(0.25);
     const CYCLES: u64 = 500;
     for (cell, wait) in [("irb6", Wait::Hybrid), ("irb6", Wait::Plain), ("irb6-serial", Wait::Hybrid)] {
         let mut rig = Setup::of(cell).bring_up();

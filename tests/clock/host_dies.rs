@@ -210,7 +210,7 @@ fn dies_behind_slcan(tries: usize) {
     let arguments = ["--bench=card".to_owned(), can];
     let gap = Duration::from_millis(20);
     let wire =
-        Wire { name: "behind slcan", arguments, gap, silence: of_drives(&file), failures: &FAILURES, processors: 0.7 };
+        Wire { name: "behind slcan", arguments, gap, silence: of_drives(&file), failures: &FAILURES, processors: 0.45 };
     dies(&directory, &cell, &wire, &emulator, tries);
 }
 

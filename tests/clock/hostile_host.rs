@@ -56,7 +56,7 @@ fn a_listening_socket_is_found() {
 
 #[test]
 fn neither_a_run_nor_an_emulator_listens_on_a_socket() {
-    let _share = processors::take(0.6);
+    let _share = processors::take(0.4);
     let directory = Directory::new();
     let cell = directory.cell("irb6", shorten);
     let [link, record] = ["can0", "record.csv"].map(|name| directory.path(name));

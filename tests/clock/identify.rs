@@ -24,7 +24,7 @@ fn measured(run: &Output, bench: &str, is_right: impl Fn(&Value) -> bool) {
 }
 
 /// Mean use of processors.
-const PROCESSORS: f64 = 0.7;
+const PROCESSORS: f64 = 0.45;
 
 /// Whether the report approximately describes the loop of the example.
 fn is_serial_column(report: &Value) -> bool {
@@ -82,7 +82,7 @@ fn an_axis_is_measured_over_vcan() {
 
 #[test]
 fn a_measurement_that_is_stopped_ends_with_status_1_and_brakes() {
-    by_the_clock(0.5, PERIOD, || {
+    by_the_clock(0.3, PERIOD, || {
         let directory = Directory::new();
         let cell = directory.cell("irb6-serial", shorten);
         let out = directory.path("out");

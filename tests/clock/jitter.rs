@@ -30,7 +30,7 @@ fn measured(arguments: &[&str]) -> Value {
 
 #[test]
 fn a_measurement_ends_with_one_object_that_compares_both_sides() {
-    by_the_clock(1.0, PERIOD, || {
+    by_the_clock(0.6, PERIOD, || {
         let report = measured(&["--against", "plain", "--load", "cpu,memory,fork,io"]);
         for side in ["ours", "peer"] {
             let cycles = report[side]["cycles"].as_u64().unwrap();
@@ -57,7 +57,7 @@ fn a_measurement_ends_with_one_object_that_compares_both_sides() {
 
 #[test]
 fn cyclictest_is_run_for_as_long_and_read_whole() {
-    let _share = processors::take(0.5);
+    let _share = processors::take(0.3);
     let report = measured(&["--against", "cyclictest"]);
     assert_eq!(report["against"], "cyclictest");
     let [ours, peer] = ["ours", "peer"].map(|side| report[side]["cycles"].as_u64().unwrap());
@@ -70,7 +70,7 @@ fn cyclictest_is_run_for_as_long_and_read_whole() {
 
 #[test]
 fn numbers_are_in_microseconds() {
-    let _share = processors::take(0.5);
+    let _share = processors::take(0.3);
     let report = measured(&["--against", "plain", "--wait", "plain"]);
     let [ours, peer] = ["ours", "peer"].map(|side| report[side]["p50"].as_f64().unwrap());
     for median in [ours, peer] {
@@ -81,7 +81,7 @@ fn numbers_are_in_microseconds() {
 
 #[test]
 fn the_cycle_of_a_cell_is_measured_with_its_drives_on() {
-    by_the_clock(0.8, PERIOD, || {
+    by_the_clock(0.5, PERIOD, || {
         let cell = example("irb6");
         let words = ["jitter", "--duration=2s", "--against=plain", "--load=bus", "--json", "--cell"];
         let words = words.map(AsRef::as_ref).into_iter().chain([cell.as_os_str()]);
@@ -148,7 +148,7 @@ fn a_cell_is_measured_on_a_virtual_interface_and_never_on_a_card() {
 
 #[test]
 fn an_interrupt_ends_it_early_with_what_was_measured() {
-    let _share = processors::take(0.5);
+    let _share = processors::take(0.3);
     let scratch = Directory::new();
     let directory = scratch.path("out");
     let words = ["jitter", "--duration=1h", "--json", "--against=plain", "--load=fork", "--out"];
@@ -169,7 +169,7 @@ fn an_interrupt_ends_it_early_with_what_was_measured() {
 /// A quarter of a million cycles at the highest allowed rate: the memory does not grow with the number of cycles.
 #[test]
 fn a_long_measurement_keeps_no_more_than_a_short_one() {
-    let _share = processors::take(0.6);
+    let _share = processors::take(0.4);
     let resident = |duration: &str| {
         let scratch = Directory::new();
         let directory = scratch.path("out");
@@ -196,7 +196,7 @@ fn a_long_measurement_keeps_no_more_than_a_short_one() {
 
 #[test]
 fn alone_and_by_sleep_it_has_no_peer_and_does_not_spin() {
-    let _share = processors::take(0.3);
+    let _share = processors::take(0.2);
     let report = measured(&["--wait", "plain"]);
     assert!(report["peer"].is_null() && report["ratio"].is_null(), "{report}");
     assert_eq!(report["ours"]["spin_percent"], 0.0, "{report}");
@@ -205,7 +205,7 @@ fn alone_and_by_sleep_it_has_no_peer_and_does_not_spin() {
 /// A substitute for hackbench that never ends by itself. The test finds its process by the process ID.
 #[test]
 fn programs_of_a_load_end_with_the_command_however_that_ends() {
-    let _share = processors::take(0.4);
+    let _share = processors::take(0.25);
     for killed in [false, true] {
         let scratch = Directory::new();
         let script = scratch

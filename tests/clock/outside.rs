@@ -39,6 +39,6 @@ fn completes_in_lockstep_and_by_the_clock(program: &str, cell: &Path) {
     };
     run("lockstep");
     for _ in 0..2 {
-        by_the_clock(0.6, PERIOD / 2, || run("emulated"));
+        by_the_clock(0.4, PERIOD / 2, || run("emulated"));
     }
 }

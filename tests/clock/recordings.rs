@@ -12,7 +12,7 @@ use crate::vcan::wait_until;
 
 #[test]
 fn a_run_by_the_clock_with_a_fault_replays_from_its_flight_file() {
-    by_the_clock(0.5, PERIOD, || {
+    by_the_clock(0.3, PERIOD, || {
         let directory = Directory::new();
         // The emulated drive follows with a small error, which is a fault for the drive.
         let cell = written(&directory, "irb6", |cell| {
@@ -38,7 +38,7 @@ fn a_run_by_the_clock_with_a_fault_replays_from_its_flight_file() {
 
 #[test]
 fn the_last_seconds_are_written_on_request_and_are_no_whole_run() {
-    by_the_clock(0.5, PERIOD, || {
+    by_the_clock(0.3, PERIOD, || {
         let directory = Directory::new();
         let cell = written(&directory, "irb6", |cell| cell.flight_recorder_s = 1);
         let flight = directory.path("flight-irb6-1.mcap");
@@ -63,7 +63,7 @@ fn the_last_seconds_are_written_on_request_and_are_no_whole_run() {
 
 #[test]
 fn a_killed_run_leaves_a_recording_up_to_the_last_second() {
-    by_the_clock(0.5, PERIOD, || {
+    by_the_clock(0.3, PERIOD, || {
         let directory = Directory::new();
         let cell = written(&directory, "irb6", |_| {});
         let recording = directory.path("run.mcap");

@@ -59,7 +59,7 @@ fn completed(run: &Output) {
 
 #[test]
 fn a_program_is_rehearsed_again_from_where_a_referenced_arm_stands() {
-    by_the_clock(0.7, PERIOD, || {
+    by_the_clock(0.45, PERIOD, || {
         let directory = Directory::new();
         let (ttys, record) = (directory.path("ttys"), directory.path("record.csv"));
         let away = cell(&directory, joints([0.5, -1.7, 0.1, 0.4, 0.3]));

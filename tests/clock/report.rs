@@ -5,7 +5,7 @@ use kit::{PERIOD, by_the_clock};
 
 #[test]
 fn a_robot_by_the_clock_has_its_error_and_loses_no_record() {
-    by_the_clock(0.5, PERIOD, || {
+    by_the_clock(0.3, PERIOD, || {
         let directory = Directory::new();
         let cell = directory.cell("irb6", shorten);
         let run = mrroc(["run".as_ref(), cell.as_os_str(), "--json".as_ref()]);

@@ -18,7 +18,7 @@ const STILL: f64 = 0.01;
 #[test]
 fn serial_cells_run_by_the_wall_clock_on_pseudo_terminals() {
     for name in SERIAL_CELLS {
-        by_the_clock(0.6, PERIOD, || {
+        by_the_clock(0.4, PERIOD, || {
             let directory = Directory::new();
             let cell = directory.cell(name, shorten);
             let run = mrroc(["run".as_ref(), cell.as_os_str(), "--json".as_ref()]);
@@ -90,7 +90,7 @@ pub(crate) fn output_on(
 /// `mrroc stop` finds the controller by its locks.
 #[test]
 fn a_running_controller_is_stopped_by_another_process() {
-    by_the_clock(0.7, PERIOD, || {
+    by_the_clock(0.45, PERIOD, || {
         let directory = Directory::new();
         let cell = directory.cell("irb6-serial", patient);
         let ttys = directory.path("ttys");
@@ -130,7 +130,7 @@ fn rows(record: &Path) -> Vec<(String, f64)> {
 /// A run is ended by Ctrl-C, and further runs follow.
 #[test]
 fn an_emulator_in_another_process_outlives_runs() {
-    by_the_clock(0.7, PERIOD, || {
+    by_the_clock(0.45, PERIOD, || {
         // Without a checksum, answers that a loaded machine delivers together count as damaged.
         let name = "irb6-serial";
         let directory = Directory::new();

@@ -31,7 +31,7 @@ const LONGEST_STOP: usize = 175;
 const LONGEST_END: usize = 1_000;
 
 /// Mean use of processors.
-const PROCESSORS: f64 = 0.7;
+const PROCESSORS: f64 = 0.45;
 
 /// A cell with long time limits, and with loops that delays of a loaded host do not stop.
 fn cell_of(cell: &mut Cell) {
@@ -188,7 +188,7 @@ fn an_emulator_that_is_killed_in_motion_is_the_cause_and_the_stop_ends_in_time()
 /// A killed run leaves its ttys to the emulator. A killed emulator leaves its links, whose terminals get new owners.
 #[test]
 fn an_unprivileged_user_goes_on_after_a_run_and_an_emulator_were_killed() {
-    by_the_clock(0.7, PERIOD, || {
+    by_the_clock(0.45, PERIOD, || {
         let directory = Directory::new();
         let cell = directory.cell("irb6-serial", cell_of);
         let ttys = directory.path("ttys");

@@ -11,7 +11,7 @@ use serial::{Settings, Tty};
 
 #[test]
 fn a_line_that_cannot_be_used_is_refused_by_its_axis() {
-    by_the_clock(0.3, PERIOD, || {
+    by_the_clock(0.2, PERIOD, || {
         let directory = Directory::new();
         let cell = directory.write("cell.toml", &text("irb6-serial"));
         let axes = ["column", "lower-arm", "upper-arm", "wrist-pitch", "wrist-roll"];

@@ -103,13 +103,13 @@ fn a_run_whose_servo_thread_hangs_for_good_is_reported_and_ends() {
     let emulator = Emulator::start(&CellFile::read(&cell).expect("the cell"), &ttys);
     let rig = Rig { directory: &directory, cell: &cell, ttys: &ttys, emulator: &emulator };
     for signal in [None, Some("INT")] {
-        by_the_clock(0.7, UNBEARABLE, || rig.hangs(signal));
+        by_the_clock(0.45, UNBEARABLE, || rig.hangs(signal));
     }
 }
 
 #[test]
 fn a_measurement_whose_servo_thread_hangs_for_good_is_reported_and_ends() {
-    by_the_clock(0.4, Duration::from_secs(1), || {
+    by_the_clock(0.25, Duration::from_secs(1), || {
         let cell = example("irb6");
         let words = ["jitter", "--duration=1h", "--json", "--cell"].map(AsRef::as_ref);
         let run = Running::start(words.into_iter().chain([cell.as_os_str()]));

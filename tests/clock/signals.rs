@@ -20,7 +20,7 @@ const ENDING: [&str; 19] = [
 fn every_signal_that_would_end_or_suspend_a_run_brakes_the_arm() {
     thread::scope(|scope| {
         for signal in ENDING {
-            scope.spawn(move || by_the_clock(0.4, PERIOD, || stops_in_motion(signal)));
+            scope.spawn(move || by_the_clock(0.25, PERIOD, || stops_in_motion(signal)));
         }
     });
 }
@@ -29,7 +29,7 @@ fn every_signal_that_would_end_or_suspend_a_run_brakes_the_arm() {
 /// background process that reads.
 #[test]
 fn a_run_in_the_background_is_not_suspended_by_its_terminal() {
-    by_the_clock(0.4, PERIOD, || {
+    by_the_clock(0.25, PERIOD, || {
         let directory = Directory::new();
         let cell = directory.cell("irb6", shorten);
         let record = directory.path("axes.csv");
@@ -54,7 +54,7 @@ fn a_run_in_the_background_is_not_suspended_by_its_terminal() {
 
 #[test]
 fn ctrl_z_while_homing_ends_the_run() {
-    by_the_clock(0.4, PERIOD, || {
+    by_the_clock(0.25, PERIOD, || {
         let (run, record) = interrupted("TSTP", |_| {}, "Homing", 200);
         stopped(&run);
         assert!(record.lines().last().unwrap().contains(",Off,"));
@@ -66,7 +66,7 @@ const THREE: [&str; 3] = ["INT", "TERM", "HUP"];
 
 #[test]
 fn the_third_request_ends_an_emulated_run_whose_report_nobody_reads() {
-    by_the_clock(0.4, PERIOD, || {
+    by_the_clock(0.25, PERIOD, || {
         let directory = Directory::new();
         let cell = directory.cell("irb6", |cell| {
             shorten(cell);

@@ -103,7 +103,7 @@ fn serve(mut ptys: Vec<Pty>, nodes: &[u8], unplugged: &AtomicBool) -> Vec<SlcanC
 
 #[test]
 fn service_commands_reach_drives_behind_an_adapter() {
-    let _share = processors::take(0.4);
+    let _share = processors::take(0.25);
     let adapter = Adapters::with(1, &[3, 7]);
     let found = adapter.says("scan");
     assert_eq!(found.lines().count(), 2, "{found}");
@@ -123,7 +123,7 @@ fn service_commands_reach_drives_behind_an_adapter() {
 
 #[test]
 fn a_data_sheet_names_types_and_refuses_before_anything_is_sent() {
-    let _share = processors::take(0.4);
+    let _share = processors::take(0.25);
     let adapter = Adapters::with(1, &[3]);
     let directory = Directory::new();
     let cell = mrroc::example("irb6").display().to_string();
@@ -151,7 +151,7 @@ fn a_data_sheet_names_types_and_refuses_before_anything_is_sent() {
 
 #[test]
 fn a_bit_rate_that_is_not_the_buss_is_silence_and_one_that_slcan_lacks_is_refused() {
-    let _share = processors::take(0.4);
+    let _share = processors::take(0.25);
     let adapter = Adapters::with(1, &[3]);
     let wrong = adapter.run("scan --bitrate-kbps 500");
     assert_eq!(wrong.status.code(), Some(2), "{wrong:?}");
@@ -183,7 +183,7 @@ fn a_tty_that_is_not_there_or_no_adapter_is_refused_in_one_line() {
 
 #[test]
 fn a_broken_off_layer_setting_service_sends_all_slaves_back_to_waiting_mode() {
-    let _share = processors::take(0.4);
+    let _share = processors::take(0.25);
     let adapters = Adapters::with(2, &[3]);
     let [here, there] = &adapters.interfaces[..] else {
         panic!("two adapters");
@@ -205,7 +205,7 @@ fn a_broken_off_layer_setting_service_sends_all_slaves_back_to_waiting_mode() {
 
 #[test]
 fn an_adapter_that_is_unplugged_ends_a_monitor() {
-    let _share = processors::take(0.4);
+    let _share = processors::take(0.25);
     let mut adapter = Adapters::with(1, &[3]);
     let heartbeat = "sdo write 3 0x1017 --type u16 20 --no-read-back";
     assert_eq!(adapter.says(heartbeat), "");
@@ -220,7 +220,7 @@ fn an_adapter_that_is_unplugged_ends_a_monitor() {
 
 #[test]
 fn an_arm_runs_over_one_adapter_with_its_drives_emulated_behind_another() {
-    by_the_clock(0.7, LATE, || {
+    by_the_clock(0.45, LATE, || {
         let mut adapters = Adapters::with(2, &[]);
         let directory = Directory::new();
         // Time limits as on the other benches on the wall clock.

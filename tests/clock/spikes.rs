@@ -50,7 +50,7 @@ fn processes(file: &Path) -> Vec<String> {
 /// SIGSTOP delays a cycle by a large amount.
 #[test]
 fn a_late_cycle_of_a_run_and_one_that_is_asked_for_are_in_the_file() {
-    by_the_clock(0.5, PERIOD, || {
+    by_the_clock(0.3, PERIOD, || {
         let directory = Directory::new();
         let cell = directory.cell("irb6", shorten);
         let [file, record] = ["spikes.json", "states.csv"].map(|name| directory.path(name));
@@ -91,7 +91,7 @@ fn a_late_cycle_of_a_run_and_one_that_is_asked_for_are_in_the_file() {
 /// The process at the other end of the lines is stopped, so that the drives cannot come up before the request.
 #[test]
 fn cycles_that_are_asked_for_before_the_drives_are_up_are_the_first() {
-    by_the_clock(0.7, PERIOD, || {
+    by_the_clock(0.45, PERIOD, || {
         let directory = Directory::new();
         let cell = directory.cell("irb6-serial", |cell| {
             shorten(cell);
@@ -124,7 +124,7 @@ fn cycles_that_are_asked_for_before_the_drives_are_up_are_the_first() {
 
 #[test]
 fn a_measurement_shows_its_late_wake_ups() {
-    by_the_clock(0.5, PERIOD, || {
+    by_the_clock(0.3, PERIOD, || {
         let directory = Directory::new();
         let file = directory.path("spikes.json");
         let cell = example("irb6");

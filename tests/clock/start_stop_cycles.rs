@@ -6,7 +6,7 @@ use kit::start_stop::Place;
 
 #[test]
 fn a_cell_that_is_started_and_stopped_leaves_nothing_behind() {
-    let _share = processors::take(0.7);
+    let _share = processors::take(0.45);
     let directory = Directory::new();
     let place = directory.path("place");
     std::fs::create_dir(&place).unwrap();

@@ -13,7 +13,7 @@ fn teach(cell: &Path, orders: &[&str], options: &[&str]) -> Output {
 
 #[test]
 fn a_teach_in_by_the_clock_ends_although_standard_input_stays_open() {
-    by_the_clock(0.4, PERIOD, || {
+    by_the_clock(0.25, PERIOD, || {
         let directory = Directory::new();
         let cell = cell(&directory, "file = 'poses.trj'\nvelocity = 1.0\nacceleration = 1.0");
         let run = teach(&cell, &ORDERS, &["--bench=emulated"]);

@@ -9,12 +9,13 @@
 
 use std::env;
 use std::fmt::{Debug, Display};
+use std::io::{self, Write};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::time::Duration;
 
 use hil::{qemu, uml};
 
-use crate::disturbance::by_the_clock;
+use crate::disturbance::{NEGATIVE, by_the_clock};
 use crate::mrroc;
 use crate::processors::{self, ALL};
 
@@ -132,6 +133,9 @@ fn judge<E: Debug + PartialEq>(test: &str, outcome: &Result<u8, E>, output: &[u8
     // The test runner does not report a path that names no test.
     let ran = output.contains("1 passed");
     assert!(*outcome == Ok(0) && ran, "{test} in the test machine: {outcome:?}\n{output}");
+    for line in output.lines().filter(|line| line.contains(NEGATIVE)) {
+        let _ = writeln!(io::stderr(), "{line}");
+    }
     print!("{output}");
 }
 

@@ -9,6 +9,7 @@ use std::cell::RefCell;
 use std::collections::HashMap;
 use std::fmt;
 use std::fs;
+use std::io::{self, Write};
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -23,6 +24,9 @@ use crate::processors::{self, ALL};
 
 /// Greatest number of runs of a test by the clock: the first run and its repetitions.
 pub const RUNS: usize = 8;
+
+/// Words of each line about a run with a negative verdict.
+pub(crate) const NEGATIVE: &str = "negative run";
 
 /// Servo period of the example cells.
 pub const PERIOD: Duration = Duration::from_millis(2);
@@ -42,7 +46,7 @@ const OF_THE_HOST: [&str; 3] = ["preempted", "late wake-up", "host"];
 pub struct Evidence {
     /// Lateness of a wait of the observer.
     pub late: Duration,
-    /// Time between two readings of the accounts during which a thread of a program waited for a processor; `None` where
+    /// Time between two readings of the accounts during which a thread of a program waited for a processor. `None` where
     /// the kernel has no such account.
     pub waited: Option<Duration>,
     /// Time that the hypervisor took from all processors between two readings, less a tick.
@@ -117,7 +121,12 @@ pub fn judged<T>(unbearable: Duration, mut run: impl FnMut(usize) -> (Result<T, 
         };
         let repeated = evidence.disturbs(unbearable) && number < RUNS;
         let verdict = if repeated { "is repeated" } else { "counts" };
-        println!("negative run {number} of at most {RUNS} {verdict}, {unbearable:?} is unbearable: {evidence}");
+        let name = thread::current().name().unwrap_or("a thread").to_owned();
+        let line = format!(
+            "{name}: {NEGATIVE} {number} of at most {RUNS} {verdict}, {unbearable:?} is unbearable: {evidence}\n"
+        );
+        // Also in the output of a test that passes, which the test runner does not show.
+        let _ = io::stderr().write_all(line.as_bytes());
         if !repeated {
             resume_unwind(panic);
         }

@@ -9,10 +9,10 @@ impl Draw {
     pub fn of(seed: u64, case: u64) -> Self {
         let mut draw = Self(seed);
         // Neighbouring seeds and cases give unrelated sequences.
-        Self(draw.next() ^ case.wrapping_mul(0xd134_2543_de82_ef95))
+        Self(draw.number() ^ case.wrapping_mul(0xd134_2543_de82_ef95))
     }
 
-    pub fn next(&mut self) -> u64 {
+    pub fn number(&mut self) -> u64 {
         self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
         let mut mixed = self.0;
         mixed = (mixed ^ (mixed >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
@@ -22,12 +22,12 @@ impl Draw {
 
     /// A number between `low` and `high`.
     pub fn within(&mut self, low: f64, high: f64) -> f64 {
-        low + (high - low) * (self.next() >> 11) as f64 / (1_u64 << 53) as f64
+        low + (high - low) * (self.number() >> 11) as f64 / (1_u64 << 53) as f64
     }
 
     /// A number below `bound`.
     pub fn below(&mut self, bound: usize) -> usize {
-        (self.next() % bound as u64) as usize
+        (self.number() % bound as u64) as usize
     }
 
     /// One element of a slice that is not empty.

@@ -17,7 +17,7 @@ const PROGRAMS: u64 = 180;
 fn one_line(example: &str, draw: &mut Draw, position: [f64; 3]) -> String {
     let mut cell = Cell::parse(&text(example)).expect("the example cells are sound");
     shorten(&mut cell);
-    cell.seed = draw.next() >> 32;
+    cell.seed = draw.number() >> 32;
     let robot = &mut cell.robot[0];
     for axis in &mut robot.axis {
         let start = axis.emulator.start.expect("a shortened cell has starts");
@@ -170,7 +170,7 @@ fn an_arm_goes_to_the_end_of_each_motor_range_and_touches_no_limit_switch() {
 fn at_the_end(sign: f64, first: Instruction, draw: &mut Draw) -> String {
     let mut cell = Cell::parse(&text("irb6")).expect("the example cells are sound");
     shorten(&mut cell);
-    cell.seed = draw.next() >> 32;
+    cell.seed = draw.number() >> 32;
     let robot = &mut cell.robot[0];
     let mut parameters = Irb6Parameters::irb6();
     let column = &mut parameters.arm.column;

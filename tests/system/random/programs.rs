@@ -32,7 +32,7 @@ pub(super) fn cell(draw: &mut Draw) -> String {
     let (name, _) = drawn.expect("the number is below the sum of the weights");
     let mut cell = Cell::parse(&text(name)).expect("the example cells are sound");
     shorten(&mut cell);
-    cell.seed = draw.next() >> 32;
+    cell.seed = draw.number() >> 32;
     cell.macrostep = 1 + draw.below(20) as u16;
     for robot in &mut cell.robot {
         let arm = robot.arm().expect("the example cells are sound");
