@@ -20,17 +20,23 @@ fn library() -> PathBuf {
     newest.expect("Cargo puts the library beside its tests").path()
 }
 
+/// The root of the workspace, from which Cargo has compiled the library. The compiler finds the sources of the library
+/// there.
+fn root() -> &'static Path {
+    Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("the controller is inside the workspace")
+}
+
 /// The messages of the compiler for this file, or nothing if the file compiles.
 fn refusal(library: &Path, file: &Path) -> Option<String> {
     let compiler = std::env::var_os("RUSTC").unwrap_or_else(|| "rustc".into());
     let mut library_of_file = std::ffi::OsString::from("mrroc_controller=");
     library_of_file.push(library);
     let output = Command::new(compiler)
-        .current_dir(env!("CARGO_MANIFEST_DIR"))
+        .current_dir(root())
         .args(["--edition", "2024", "--emit", "metadata", "--out-dir", env!("CARGO_TARGET_TMPDIR"), "--extern"])
         .arg(library_of_file)
         .args(["-L".as_ref(), library.parent().expect("the library is in a folder").as_os_str()])
-        .arg(file)
+        .arg(Path::new("controller").join(file))
         .output()
         .expect("the compiler starts");
     let messages = String::from_utf8(output.stderr).expect("messages are text");
@@ -52,19 +58,14 @@ fn steady(messages: &str) -> String {
                 lines.push(line.to_owned());
                 continue;
             }
-            let library = rest.strip_prefix("--> ").and_then(|path| Some((path, path.rfind("controller/src/")?)));
-            if rest.starts_with("--> ") {
-                is_own = library.is_none();
+            let mut rest = rest.to_owned();
+            if let Some((_, place)) = rest.strip_prefix("--> ").and_then(|path| path.rsplit_once("controller/")) {
+                is_own = place.starts_with("tests/");
+                let file = place.split(':').next().unwrap_or(place);
+                rest = format!("--> {}", if is_own { place } else { file });
             }
             let number = if is_own { number.trim() } else { "" };
-            let rest = match library {
-                Some((path, at)) => {
-                    let path = &path[at + "controller/".len()..];
-                    format!("--> {}", path.split(':').next().unwrap_or(path))
-                }
-                None => rest.to_owned(),
-            };
-            lines.push(format!("{number:2}{rest}").trim_end().to_owned());
+            lines.push(format!("{number:>2}{rest}").trim_end().to_owned());
         }
         lines.push(String::new());
     }
