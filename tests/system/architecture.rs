@@ -154,7 +154,7 @@ fn every_function_of_the_clock_module_is_refused_outside_the_rim() {
 const BY_THE_CLOCK: [&str; 13] = [
     "clippy::disallowed_methods",
     "processors(",
-    "turn()",
+    "= turn()",
     "on_vcan",
     "on_cards",
     "on_stage",
