@@ -10,6 +10,9 @@ use kit::mrroc::{self, Directory, Output, Running, mrroc};
 /// Longest time until the emulators listen.
 const PATIENCE: Duration = Duration::from_secs(20);
 
+/// A body of a test, with the name of its claim.
+type Body = (&'static str, fn(&Stage));
+
 /// The drives of a cell with one IRb-6, emulated in another process.
 struct Stage<'a> {
     interface: &'a str,
@@ -59,7 +62,7 @@ impl<'a> Stage<'a> {
 
 #[test]
 fn service_commands_on_emulated_drives() {
-    let bodies: [(&str, fn(&Stage)); 2] = [
+    let bodies: [Body; 2] = [
         ("a bus is looked at, asked and told", a_bus_is_looked_at_asked_and_told),
         (
             "a monitor shows what passes, and ends when it is told or nobody reads",

@@ -46,8 +46,8 @@ const OF_THE_HOST: [&str; 3] = ["preempted", "late wake-up", "host"];
 pub struct Evidence {
     /// Lateness of a wait of the observer.
     pub late: Duration,
-    /// Time between two readings of the accounts during which a thread of a program waited for a processor. `None` where
-    /// the kernel has no such account.
+    /// Time between two readings of the accounts during which a thread of a program waited for a processor. The value is
+    /// `None` where the kernel has no such account.
     pub waited: Option<Duration>,
     /// Time that the hypervisor took from all processors between two readings, less a tick.
     pub stolen: Duration,

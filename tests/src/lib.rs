@@ -1,5 +1,5 @@
-//! Parts of the system tests that both executables share: the commands of `mrroc` as child processes, benches, cells and
-//! rigs. Tests in virtual time are in `system/`, tests by the clock in `clock/`.
+//! Parts of the system tests that both executables share: the commands of `mrroc` as child processes, benches, cells
+//! and rigs. Tests in virtual time are in `system/`, tests by the clock in `clock/`.
 
 #![allow(clippy::disallowed_methods, reason = "tests keep pace with other processes")]
 #![expect(clippy::unwrap_used, reason = "in a test it is a verdict")]

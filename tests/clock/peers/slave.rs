@@ -16,6 +16,9 @@ use crate::vcan::Stage;
 
 const NODE: NodeId = NodeId::new(1).unwrap();
 
+/// A body beside a LocalNode, with the name of its claim.
+type Body = (&'static str, fn(&Stage, Host));
+
 /// Runs `body` with a LocalNode that has booted.
 fn beside_a_local_node(python: &Path, stage: &Stage, body: fn(&Stage, Host)) {
     let mut host = Host::new(stage.interface, NODE);
@@ -30,7 +33,7 @@ fn beside_a_local_node(python: &Path, stage: &Stage, body: fn(&Stage, Host)) {
 fn python_canopen_as_a_drive() {
     let test = "peers::slave::python_canopen_as_a_drive";
     let Some(python) = python(test) else { return };
-    let bodies: [(&str, fn(&Stage, Host)); 3] = [
+    let bodies: [Body; 3] = [
         ("the service client reads and writes a local node", the_service_client_reads_and_writes_a_local_node),
         ("a local node obeys network commands", a_local_node_obeys_network_commands),
         ("a drive group runs a local node", |stage, _| run_as_drives(stage, &[&|_| {}])),
