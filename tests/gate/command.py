@@ -136,6 +136,7 @@ class Command:
             self.tail = self.tail[-199:] + [line]
             if self.reader is not None:
                 self.reader.line(line)
+        pipe.close()
 
 
 def processor_ticks(pid):

@@ -27,6 +27,12 @@ def left_out(option):
     return f"MRROC_LEAVE_OUT has {option}" if option in named else None
 
 
+def gate_part():
+    """Tests of the gate itself."""
+    return Part("gate", "test", Command(sys.executable, "-B", "-m", "unittest", "-q", "gate.test_gate",
+                                        env={"PYTHONPATH": str(ROOT / "tests")}), processors=0.6)
+
+
 def format_part():
     outside = ["tests/peers/rust/Cargo.toml", "tests/outside/Cargo.toml"]
     return Part(
@@ -75,7 +81,7 @@ def system_part(messages, only, env=None):
 
 
 def quick(only):
-    return [format_part(), *unit_parts(only, env={"MRROC_RING": "quick"})]
+    return [gate_part(), format_part(), *unit_parts(only)]
 
 
 def run(only):
@@ -84,12 +90,14 @@ def run(only):
     lints = ["cargo", "clippy", "--workspace", "--all-targets", LOCKED, "--quiet", "--", "-D", "warnings"]
     documentation = ["cargo", "doc", "--workspace", "--no-deps", LOCKED, "--quiet"]
     # Most of these tests wait for a clock. Their programs precede all others, which only root may arrange.
-    clock = Executables(messages, only=only, chosen="mrroc-tests/clock".__eq__, threads=os.cpu_count() + 4, niceness=-10)
+    clock = Executables(messages, only=only, chosen="mrroc-tests/clock".__eq__, threads=8 * os.cpu_count(),
+                        niceness=-10)
     return [
         Part("packages", "download", Command("tests/install", "packages")),
         Part("kernel", "download", Command("tests/install", "kernel"), needs=["packages"], left_out=qemu),
         Part("python", "download", Command("tests/install", "python"), needs=["packages"], left_out=peers),
         Part("debian", "download", Command(*root("packaging/test", "prepare")), needs=["packages"], left_out=package),
+        gate_part(),
         format_part(),
         Part("dependencies", "build", Command("tests/deny"), needs=["packages"]),
         release_part(messages),
