@@ -155,7 +155,7 @@ fn every_function_of_the_clock_module_is_refused_outside_the_rim() {
 /// Words of tests by the clock. Clippy also refuses clock reads and waits in `tests/system`.
 const BY_THE_CLOCK: [&str; 13] = [
     "clippy::disallowed_methods",
-    "processors(",
+    "processors::take",
     "= turn()",
     "on_vcan",
     "on_cards",
