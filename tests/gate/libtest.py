@@ -52,6 +52,8 @@ class Results:
         name = f"{self.name}::{event['name']}"
         if what == "started":
             self.started[name] = time.monotonic()
+        elif what == "ignored":
+            self.started.pop(name, None)
         elif what in ("ok", "failed"):
             self.started.pop(name, None)
             self.durations.append((event.get("exec_time", 0.0), name))
