@@ -93,7 +93,7 @@ pub fn faulted(prepare: impl Fn(&mut tasks::Team<2>) + Send + Sync + 'static, ch
         let is_run = !cell.rehearsing();
         let prepare = |team: &mut tasks::Team<2>| {
             if is_run {
-                prepare(team)
+                prepare(team);
             }
         };
         let outcome = arms.carry(cell, &course, Regulation::CYCLE, prepare).await;

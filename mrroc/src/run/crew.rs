@@ -138,7 +138,8 @@ impl Crew {
         self.0.cycles.load(Ordering::Relaxed)
     }
 
-    #[cfg(all(test, feature = "command-line"))]
+    #[cfg(test)]
+    #[cfg(feature = "command-line")]
     pub(super) fn plant(&self, member: &'static str) {
         *lock(&self.0.planted) = Some(member);
     }

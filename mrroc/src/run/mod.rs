@@ -29,12 +29,14 @@ mod descriptions;
 mod ending;
 #[cfg(test)]
 mod fault_lines;
-#[cfg(all(test, feature = "recording"))]
+#[cfg(test)]
+#[cfg(feature = "recording")]
 mod file_tests;
 mod files;
 mod options;
 mod page_file;
-#[cfg(all(test, feature = "command-line"))]
+#[cfg(test)]
+#[cfg(feature = "command-line")]
 mod panic_tests;
 #[cfg(feature = "recording")]
 mod recorded;

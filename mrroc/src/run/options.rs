@@ -101,7 +101,8 @@ impl RunOptions {
     }
 }
 
-#[cfg(all(test, not(feature = "recording")))]
+#[cfg(test)]
+#[cfg(not(feature = "recording"))]
 mod tests {
     use super::*;
 

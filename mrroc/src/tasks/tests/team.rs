@@ -146,7 +146,7 @@ fn run(prepare: impl Fn(&mut Team<2>) + Send + Sync + 'static) -> (Vec<FaultRepo
         let heights = if rehearsing { Heights::default() } else { Arc::clone(&seen) };
         let prepare = |team: &mut Team<2>| {
             if !rehearsing {
-                prepare(team)
+                prepare(team);
             }
         };
         rise(cell, prepare, &heights).await
