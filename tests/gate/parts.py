@@ -87,7 +87,8 @@ def quick(only):
 def run(only):
     messages = Messages()
     vcan, qemu, peers, package = map(left_out, ["vcan", "qemu", "peers", "package"])
-    lints = ["cargo", "clippy", "--workspace", "--features", "mrroc-tests/test-hooks", "--all-targets", LOCKED, "--quiet", "--", "-D", "warnings"]
+    hooks = ["--features", "mrroc-tests/test-hooks"]
+    lints = ["cargo", "clippy", "--workspace", *hooks, "--all-targets", LOCKED, "--quiet", "--", "-D", "warnings"]
     documentation = ["cargo", "doc", "--workspace", "--no-deps", LOCKED, "--quiet"]
     # Most of these tests wait for a clock. Their programs precede all others, which only root may arrange.
     clock = Executables(messages, only=only, chosen="mrroc-tests/clock".__eq__, threads=8 * os.cpu_count(),
