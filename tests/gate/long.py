@@ -14,7 +14,7 @@ from .schedule import Part
 
 PAGE = ROOT / "book/src/long-tests.md"
 JUDGED = ["drivers", "servo", "controller", "hil", "mrroc", "tools", "console"]
-ROW = re.compile(r"^\| `([a-z-]+)` \| (.*) \| (.*) \| (.*) \| (.*) \| (.*) \|$")
+ROW = re.compile(r"^\| `([a-z0-9-]+)` \| (.*) \| (.*) \| (.*) \| (.*) \| (.*) \|$")
 FUZZ_SECONDS = 600
 
 
