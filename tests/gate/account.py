@@ -28,7 +28,7 @@ def table(parts, durations, host, longest=30):
     ours = sum(sums.values())
     lines += [
         f"{'all without downloads':<{width}}{wall - downloads:>9.1f}{sums['build'] + sums['test']:>13.1f}",
-        f"builds {sums['build']:.0f} and tests {sums['test']:.0f} processor seconds; downloads and debootstrap {downloads:.0f} s",
+        f"builds {sums['build']:.0f} and tests {sums['test']:.0f} processor seconds; downloads alone {downloads:.0f} s",
         f"host: {os.cpu_count()} processors, {max(busy - ours, 0):.0f} processor seconds of other work, {stolen:.0f} s stolen, "
         f"load {os.getloadavg()[0]:.1f}",
     ]

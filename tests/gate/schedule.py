@@ -62,15 +62,19 @@ class Schedule:
     def run(self):
         busy, stolen = account.processors()
         waiting, running, downloads, spoke = list(self.parts), [], 0.0, time.monotonic()
+        looked = spoke
         for part in [part for part in waiting if part.left_out]:
             part.outcome = f"left out: {part.left_out}"
             waiting.remove(part)
         while waiting or running:
             with self.changed:
+                # Time in which nothing but downloads ran.
+                now = time.monotonic()
+                downloads += now - looked if running and all(part.kind == "download" for part in running) else 0.0
+                looked = now
                 for part in [part for part in running if part.outcome is not None]:
                     running.remove(part)
                     self.ended(part)
-                    downloads += part.wall if part.kind == "download" else 0.0
                 for part in list(waiting):
                     state = self.state(part)
                     if state == "lost":
