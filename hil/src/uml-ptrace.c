@@ -4,6 +4,9 @@
  * when the kernel was built. Since Linux 5.16, the host takes a buffer of its own size only, which is larger on processors
  * with AMX tiles: every process of the machine then ends at its first instruction. This library, loaded before the C
  * library, completes the buffer with the present values of the other registers. */
+/* Other processors have no such registers, and need no function. */
+#ifdef __x86_64__
+
 #include <elf.h>
 #include <errno.h>
 #include <stdarg.h>
@@ -46,3 +49,5 @@ long ptrace(enum __ptrace_request request, ...)
     }
     return syscall(SYS_ptrace, request, pid, address, data);
 }
+
+#endif

@@ -2,7 +2,7 @@
 //! stopped within a bound.
 //!
 //! The emulator is in this process, so that the true angles of the motors can be read in the time of the emulator.
-//! `cargo test -p mrroc-tests guarded_20 -- --ignored --nocapture` makes 20 tries of each failure and prints figures.
+//! `cargo test --release -p mrroc-tests guarded_20 -- --ignored --nocapture` makes 20 tries of each failure and prints figures.
 
 use std::fmt;
 use std::fs;

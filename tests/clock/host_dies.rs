@@ -4,7 +4,7 @@
 //!
 //! `mrroc run` is a process of its own, and the emulator is in this process: behind an slcan adapter, or on a virtual
 //! interface. The true angles of the motors are read in the time of the emulator.
-//! `cargo test -p mrroc-tests host_dies_20 -- --ignored --nocapture` makes 20 tries of each failure and prints figures.
+//! `cargo test --release -p mrroc-tests host_dies_20 -- --ignored --nocapture` makes 20 tries of each failure and prints figures.
 
 use std::collections::BTreeSet;
 use std::fs;

@@ -55,12 +55,12 @@ def targets():
     return sorted(names - {"system", "clock"})
 
 
-def unit_parts(only, env=None):
+def unit_parts(only):
     """Tests of single crates and tests with hooks of the library, in the profile dev."""
     messages = Messages()
     chosen = [word for name in targets() for word in ("--test", name)]
     build = ["cargo", "test", "--workspace", "--features", "mrroc-tests/test-hooks", LOCKED, "--lib", "--bins", *chosen]
-    run = Executables(messages, only=only, chosen=lambda name: True, threads=os.cpu_count(), at_once=2, env=env)
+    run = Executables(messages, only=only, chosen=lambda name: True, threads=os.cpu_count(), at_once=2)
     return [
         Part("build", "build", Command(*build, *MESSAGES, reader=messages), processors=ALL, lock="target"),
         Part("units", "test", run, needs=["build"], processors=ALL),
@@ -74,9 +74,9 @@ def release_part(messages):
     return Part("release", "build", Command(*programs), Command(*tests, reader=messages), processors=ALL, lock="target")
 
 
-def system_part(messages, only, env=None):
+def system_part(messages, only):
     """System tests in virtual time. They keep all processors busy."""
-    run = Executables(messages, only=only, chosen="mrroc-tests/system".__eq__, threads=os.cpu_count() + 1, env=env)
+    run = Executables(messages, only=only, chosen="mrroc-tests/system".__eq__, threads=os.cpu_count() + 1)
     return Part("system", "test", run, needs=["release"], processors=ALL)
 
 
