@@ -34,6 +34,7 @@ mod motion_time;
 mod overload;
 mod progress;
 mod recorder;
+mod reference_watch;
 pub mod regulator;
 mod remedies;
 #[cfg(test)]

@@ -42,7 +42,7 @@ def parts(only, seed):
              lock="target", processors=2),
         soak("irb6", 24),
         soak("lab", 4),
-        tests("seeds", "mrroc-tests/system", only or "random::", MRROC_RANDOM_SEED=str(seed), MRROC_RANDOM_TIMES="16"),
+        tests("seeds", "mrroc-tests/system", only or "random::", MRROC_RANDOM_SEED=str(seed), MRROC_RANDOM_TIMES="48"),
         tests("scenes", "mrroc-hil", only or "random_scenes", MRROC_RANDOM_SEED=str(seed), MRROC_RANDOM_TIMES="100"),
         Part("tries", "test", tries, needs=["build"], processors=2),
         Part("fuzz", "test", Command("tests/fuzz", FUZZ_SECONDS, limit=14_400), processors=2),

@@ -41,37 +41,39 @@ def format_part():
     )
 
 
-# One selection of packages for all release builds: another selection may give a crate other features, and build it again.
-WHOLE = ["-p", "mrroc-console", "-p", "mrroc", "-p", "mrroc-tests"]
+# One selection of packages for all builds: another selection may give a crate other features, and build it again.
+WHOLE = ["--workspace", LOCKED]
+HOOKS = ["--features", "mrroc-tests/test-hooks"]
 MESSAGES = ["--no-run", "--message-format", "json-render-diagnostics"]
+# Crates of the workspace without optimisation, for programs that are run once.
+UNOPTIMISED = ["--config", "tests/unoptimised.toml"]
 
 
-def targets():
-    """Names of all targets of integration tests, except those of whole cells."""
+def unit_targets():
+    """Names of the targets of tests of single crates."""
     words = ["cargo", "metadata", "--no-deps", "--offline", "--format-version", "1"]
     metadata = json.loads(subprocess.run(words, cwd=ROOT, check=True, capture_output=True).stdout)
     names = {target["name"] for package in metadata["packages"] for target in package["targets"]
              if target["kind"] == ["test"]}
-    return sorted(names - {"system", "clock"})
-
-
-def unit_parts(only):
-    """Tests of single crates and tests with hooks of the library, in the profile dev."""
-    messages = Messages()
-    chosen = [word for name in targets() for word in ("--test", name)]
-    build = ["cargo", "test", "--workspace", "--features", "mrroc-tests/test-hooks", LOCKED, "--lib", "--bins", *chosen]
-    run = Executables(messages, only=only, chosen=lambda name: True, threads=os.cpu_count(), at_once=2)
-    return [
-        Part("build", "build", Command(*build, *MESSAGES, reader=messages), processors=ALL, lock="target"),
-        Part("units", "test", run, needs=["build"], processors=ALL),
-    ]
+    return ["--lib", "--bins"] + [word for name in sorted(names - {"system", "clock", "hooks"}) for word in ("--test", name)]
 
 
 def release_part(messages):
-    """Programs and system tests, in the profile release. The programs are those that the README's commands build."""
-    tests = ["cargo", "test", "--release", *WHOLE, LOCKED, "--test", "system", "--test", "clock", *MESSAGES]
-    programs = ["cargo", "build", "--release", *WHOLE, LOCKED, "--quiet", "--bins", "--examples"]
+    """Programs and system tests. The programs are those that the README's commands build."""
+    programs = ["cargo", "build", "--release", *WHOLE, "--quiet", "--bins", "--examples"]
+    tests = ["cargo", "test", "--release", *WHOLE, "--test", "system", "--test", "clock", *MESSAGES]
     return Part("release", "build", Command(*programs), Command(*tests, reader=messages), processors=ALL, lock="target")
+
+
+def unit_parts(only, *builds):
+    """Tests of single crates, and tests with hooks of the library."""
+    messages = Messages()
+    run = Executables(messages, only=only, chosen=lambda name: True, threads=os.cpu_count(), at_once=2)
+    builds = [Command(*build, *MESSAGES, reader=messages) for build in builds]
+    return [
+        Part("build", "build", *builds, processors=ALL, lock="target"),
+        Part("units", "test", run, needs=["build"], processors=ALL),
+    ]
 
 
 def system_part(messages, only):
@@ -81,15 +83,18 @@ def system_part(messages, only):
 
 
 def quick(only):
-    return [gate_part(), format_part(), *unit_parts(only)]
+    build = ["cargo", "test", *WHOLE, *HOOKS, *unit_targets(), "--test", "hooks"]
+    return [gate_part(), format_part(), *unit_parts(only, build)]
 
 
 def run(only):
     messages = Messages()
     vcan, qemu, peers, package = map(left_out, ["vcan", "qemu", "peers", "package"])
-    hooks = ["--features", "mrroc-tests/test-hooks"]
-    lints = ["cargo", "clippy", "--workspace", *hooks, "--all-targets", LOCKED, "--quiet", "--", "-D", "warnings"]
-    documentation = ["cargo", "doc", "--workspace", "--no-deps", LOCKED, "--quiet"]
+    units = ["cargo", "test", "--release", *WHOLE, *unit_targets()]
+    with_hooks = ["cargo", "test", "--release", *WHOLE, *HOOKS, *UNOPTIMISED, "--test", "hooks"]
+    documented = ["cargo", "test", "--release", *WHOLE, "--quiet", "--doc"]
+    lints = ["cargo", "clippy", *WHOLE, *HOOKS, "--all-targets", "--quiet", "--", "-D", "warnings"]
+    documentation = ["cargo", "doc", *WHOLE, *HOOKS, "--no-deps", "--quiet"]
     # Most of these tests wait for a clock. Their programs precede all others, which only root may arrange.
     clock = Executables(messages, only=only, chosen="mrroc-tests/clock".__eq__, threads=8 * os.cpu_count(),
                         niceness=-10)
@@ -106,11 +111,10 @@ def run(only):
         Part("clock", "test", clock, needs=["release", "packages", "kernel", "python", "peers"], processors=0.6),
         Part("readme", "test", Command(sys.executable, "tests/readme"), needs=["release", "clock"], processors=0.6),
         system_part(messages, only),
-        *unit_parts(only),
-        Part("outside", "test", Command("tests/outside/run"), needs=["build"], processors=ALL, lock="target"),
+        *unit_parts(only, units, with_hooks),
+        Part("outside", "test", Command("tests/outside/run"), needs=["release"], processors=ALL, lock="target"),
         Part("faults", "test", Command("tests/fault-table"), needs=["release"]),
-        Part("documented", "test", Command("cargo", "test", "--workspace", LOCKED, "--quiet", "--doc"), needs=["build"],
-             processors=ALL, lock="target"),
+        Part("documented", "test", Command(*documented), needs=["release"], processors=ALL, lock="target"),
         Part("lints", "build", Command(*lints), processors=ALL, lock="target"),
         Part("documentation", "build", Command(*documentation, env={"RUSTDOCFLAGS": "-D warnings"}), processors=ALL,
              lock="target"),

@@ -45,6 +45,9 @@ fn a_lost_late_doubled_or_swapped_message_stops_both_arms_and_does_not_tear_the_
             "step 40, link to member 1: a message of step 41 came in place of that of step 40",
         ),
         (order, Disturbance::Lost, "left: step 39: the order of step 40 did not come within 4ms"),
+        (order, LATE, "left: step 39: the order of step 40 did not come within 4ms"),
+        (order, Disturbance::Doubled, "left: step 40: a message of step 40 came in place of that of step 41"),
+        (order, Disturbance::Swapped, "left: step 39: a message of step 41 came in place of that of step 40"),
     ];
     for ((member, answer), disturbance, cause) in cases {
         let message = DisturbedMessage { member, answer, step: STEP, disturbance };

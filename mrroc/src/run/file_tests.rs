@@ -2,7 +2,9 @@
 
 use std::io::Read;
 use std::process::Command;
+use std::sync::mpsc;
 use std::thread;
+use std::time::Duration;
 
 use serde_json::Value;
 
@@ -19,7 +21,8 @@ fn report(name: &str, length: usize) -> Value {
     assert!(Command::new("mkfifo").arg(&pipe).status().unwrap().success());
     // Opened for both, the pipe has a reader before the run opens it.
     let mut reader = std::fs::File::options().read(true).write(true).open(&pipe).unwrap();
-    let reading = thread::spawn(move || reader.read_exact(&mut vec![0; length]).unwrap());
+    let (read, reading) = mpsc::channel();
+    thread::spawn(move || read.send(reader.read_exact(&mut vec![0; length])));
     let mut options = RunOptions { replacement: Replacement { force: true }, ..RunOptions::on(BenchKind::Lockstep) };
     let option = match name {
         "trace.log" => &mut options.trace,
@@ -29,7 +32,8 @@ fn report(name: &str, length: usize) -> Value {
     *option = Some(pipe);
     let program = CarriedTask::Programs.program();
     let report = run(&file, &options, &Requests::default(), &program, &mut |_| {}).unwrap();
-    reading.join().unwrap();
+    let said = || format!("{name} has less than {length} bytes: {:?}, {:?}", report.outcome, report.faults);
+    reading.recv_timeout(Duration::from_secs(60)).unwrap_or_else(|_| panic!("{}", said())).unwrap();
     serde_json::to_value(report).unwrap()
 }
 

@@ -1,14 +1,10 @@
-//! Two emulated arms in tight coordination, and messages between them and their coordinator that fail.
+//! Two emulated arms in tight coordination.
 
 use std::cell::Cell as Shared;
 use std::sync::Mutex;
 
-#[cfg(feature = "test-hooks")]
-use controller::coordination::Disturbance;
 use controller::coordination::{CoordinatorError, LinkError};
 use controller::ecp::ReplaceRefused;
-#[cfg(feature = "test-hooks")]
-use controller::executor::DisturbedMessage;
 
 use super::*;
 
@@ -106,21 +102,16 @@ impl Generator for Follow {
 /// Measured heights of both tools in one cycle, m.
 type Heights = Arc<Mutex<Vec<[f64; 2]>>>;
 
-/// Raises both tools by a team that was prepared, and keeps the measured heights in every cycle.
-async fn rise(cell: &mut Cell, prepare: impl FnOnce(&mut Team<2>), heights: &Heights) -> Outcome {
+/// Raises both tools, and keeps the measured heights in every cycle.
+async fn rise(cell: &mut Cell, heights: &Heights) -> Outcome {
     let [mut left, mut right] = bent(cell).await?;
     let eyes = [left.observer(), right.observer()];
     let over = Shared::new(false);
-    let motion = async {
-        let mut team = cell.team([&mut left, &mut right]);
-        prepare(&mut team);
-        let executed = team.execute(Rise::sound(), [follow(), follow()]).await;
-        over.set(true);
-        Ok::<_, TaskError>(executed)
-    };
     let ended = Shared::new(None);
     let motion = async {
-        ended.set(Some(motion.await?));
+        let executed = cell.team([&mut left, &mut right]).execute(Rise::sound(), [follow(), follow()]).await;
+        over.set(true);
+        ended.set(Some(executed));
         Outcome::Ok(())
     };
     let watch = async {
@@ -136,57 +127,20 @@ async fn rise(cell: &mut Cell, prepare: impl FnOnce(&mut Team<2>), heights: &Hei
     ended.take().expect("the motion has ended")
 }
 
-/// Runs the motion of a team that was prepared, and returns its faults and the measured heights in every cycle.
-fn run(prepare: impl Fn(&mut Team<2>) + Send + Sync + 'static) -> (Vec<FaultReport>, Vec<[f64; 2]>) {
+#[test]
+fn a_team_moves_as_its_coordinator_orders_and_stands_at_the_end() {
     let heights = Heights::default();
     let seen = Arc::clone(&heights);
     let report = in_lockstep(async move |cell: &mut Cell| {
-        // The rehearsal would refuse a disturbed motion.
-        let rehearsing = cell.rehearsing();
-        let heights = if rehearsing { Heights::default() } else { Arc::clone(&seen) };
-        let prepare = |team: &mut Team<2>| {
-            if !rehearsing {
-                prepare(team);
-            }
-        };
-        rise(cell, prepare, &heights).await
+        let heights = if cell.rehearsing() { Heights::default() } else { Arc::clone(&seen) };
+        rise(cell, &heights).await
     });
+    assert_eq!(report.faults, Vec::new());
     let heights = heights.lock().unwrap().clone();
-    (report.faults, heights)
-}
-
-#[test]
-fn a_team_moves_as_its_coordinator_orders_and_stands_at_the_end() {
-    let (faults, heights) = run(|_| {});
-    assert_eq!(faults, Vec::new());
     let (first, last) = (heights[0], heights[heights.len() - 1]);
     // The motion ends in motion, and is braked.
     assert!((0..2).all(|arm| last[arm] - first[arm] > 0.1), "{first:?} {last:?}");
     assert!(heights.iter().all(|both| (both[0] - both[1]).abs() < 1e-4), "the arms leave each other");
-}
-
-/// A message that arrives after the deadline of its step, while the arms brake.
-#[cfg(feature = "test-hooks")]
-const LATE: Disturbance = Disturbance::Late(Duration::from_millis(30));
-
-#[cfg(feature = "test-hooks")]
-#[test]
-fn a_message_that_is_lost_late_doubled_or_swapped_stops_both_arms_together() {
-    for disturbance in [Disturbance::Lost, LATE, Disturbance::Doubled, Disturbance::Swapped] {
-        for answer in [false, true] {
-            let (faults, heights) =
-                run(move |team| team.disturb(DisturbedMessage { member: 1, answer, step: 40, disturbance }));
-            let causes: Vec<_> = faults.iter().map(|fault| &fault.what).collect();
-            let what = format!("{disturbance:?}, answer {answer}: {causes:?}");
-            assert!(!faults.is_empty(), "{what}");
-            let (first, last) = (heights[0], heights[heights.len() - 1]);
-            assert!((0..2).all(|arm| last[arm] - first[arm] > 0.05), "{what} {first:?} {last:?}");
-            // Both arms have equal kinematics and motions. At 0.1 m/s, a stop one cycle later leads 0.2 mm further.
-            let apart = heights.iter().map(|both| (both[0] - both[1]).abs()).fold(0.0, f64::max);
-            println!("{disturbance:?}, answer {answer}: {:.6} mm apart", 1e3 * apart);
-            assert!(apart < 1e-4, "{what}: {apart} m apart");
-        }
-    }
 }
 
 /// A sound macrostep other than that of the cell.
