@@ -45,8 +45,8 @@ def format_part():
 WHOLE = ["--workspace", LOCKED]
 HOOKS = ["--features", "mrroc-tests/test-hooks"]
 MESSAGES = ["--no-run", "--message-format", "json-render-diagnostics"]
-# Crates of the workspace without optimisation, for programs that are run once.
-UNOPTIMISED = ["--config", "tests/unoptimised.toml"]
+# For an executable that is run once.
+UNOPTIMISED = ["--config", "profile.release.package.mrroc.opt-level=0"]
 
 
 def unit_targets():
@@ -93,7 +93,11 @@ def run(only):
     units = ["cargo", "test", "--release", *WHOLE, *unit_targets()]
     with_hooks = ["cargo", "test", "--release", *WHOLE, *HOOKS, *UNOPTIMISED, "--test", "hooks"]
     documented = ["cargo", "test", "--release", *WHOLE, "--quiet", "--doc"]
-    lints = ["cargo", "clippy", *WHOLE, *HOOKS, "--all-targets", "--quiet", "--", "-D", "warnings"]
+    clippy = ["cargo", "clippy", LOCKED, "--quiet"]
+    warnings = ["--", "-D", "warnings"]
+    lints = [[*clippy, "--workspace", *HOOKS, "--all-targets", *warnings]]
+    lints += [[*clippy, "-p", "mrroc", "--no-default-features", "--features", feature, *warnings]
+              for feature in ["", "command-line", "pages", "recording"]]
     documentation = ["cargo", "doc", *WHOLE, *HOOKS, "--no-deps", "--quiet"]
     # Most of these tests wait for a clock. Their programs precede all others, which only root may arrange.
     clock = Executables(messages, only=only, chosen="mrroc-tests/clock".__eq__, threads=8 * os.cpu_count(),
@@ -115,7 +119,7 @@ def run(only):
         Part("outside", "test", Command("tests/outside/run"), needs=["release"], processors=ALL, lock="target"),
         Part("faults", "test", Command("tests/fault-table"), needs=["release"]),
         Part("documented", "test", Command(*documented), needs=["release"], processors=ALL, lock="target"),
-        Part("lints", "build", Command(*lints), processors=ALL, lock="target"),
+        Part("lints", "build", *[Command(*words) for words in lints], processors=ALL, lock="target"),
         Part("documentation", "build", Command(*documentation, env={"RUSTDOCFLAGS": "-D warnings"}), processors=ALL,
              lock="target"),
         Part("sanitizer-build", "build", Command("tests/realtime-sanitizer", "build"), processors=ALL),
