@@ -234,7 +234,7 @@ fn flood() -> usize {
     let (mut servo, mut links) = Servo::new(&config, vec![scripted::group(2).0]).expect("the configuration is sound");
     let mut step = || {
         for _ in 0..ORDERS {
-            let pushed = links[0].orders.push(Order::Stop);
+            let pushed = links[0].orders.push(Order::ResetFault);
             pushed.expect("the step before carried out all");
         }
         let begun = now();
@@ -278,7 +278,7 @@ fn plant(plant: Plant, cause: Cause) -> (u64, u64) {
         let between = move |next: Instant| {
             next_cycle += 1;
             match plant {
-                Plant::FloodedStep if is_planted(next_cycle) => while links[0].orders.push(Order::Stop).is_ok() {},
+                Plant::FloodedStep if is_planted(next_cycle) => while links[0].orders.push(Order::ResetFault).is_ok() {},
                 Plant::SlowBetween if is_planted(next_cycle) => spin_until(next + DELAY),
                 _ => {}
             }

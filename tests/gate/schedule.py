@@ -25,7 +25,8 @@ class Part:
         self.outcome, self.wall, self.seconds, self.said, self.notes = None, 0.0, 0.0, "", []
 
     def results(self):
-        return [command.reader for command in self.commands if command.reader is not None]
+        # Commands may share a reader.
+        return list({id(command.reader): command.reader for command in self.commands if command.reader is not None}.values())
 
     def run(self):
         place = ROOT / "target/gate"
