@@ -26,7 +26,8 @@ class Part:
 
     def results(self):
         # Commands may share a reader.
-        return list({id(command.reader): command.reader for command in self.commands if command.reader is not None}.values())
+        readers = [command.reader for command in self.commands if command.reader is not None]
+        return list({id(reader): reader for reader in readers}.values())
 
     def run(self):
         place = ROOT / "target/gate"
