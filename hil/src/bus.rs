@@ -89,8 +89,10 @@ impl VirtualBus {
 
     /// Replaces the first node of the host: another program opens the interface. A frame of the old node on the wire is
     /// cut off.
-    pub fn replace_host(&mut self, peer: VirtualPeer) {
+    pub fn replace_host(&mut self, mut peer: VirtualPeer) {
         self.on_wire = self.on_wire.filter(|wire| wire.sender != End::Host(0));
+        self.faults.adapter.clear();
+        peer.set_blind(self.faults.holds);
         match self.hosts.first_mut() {
             Some(host) => *host = peer,
             None => self.hosts.push(peer),
@@ -171,10 +173,16 @@ impl VirtualBus {
             }
             HostFault::Removed => return,
             HostFault::BusOff | HostFault::Unacknowledged => self.faults.cut_off = on,
+            HostFault::Held => {
+                self.faults.holds = on;
+                host.set_blind(on || !self.faults.adapter.is_empty());
+            }
         }
         if fault == HostFault::BusOff {
             // The kernel discards the frames of a controller that leaves the bus.
             while host.take_sent().is_some() {}
+            self.faults.adapter.clear();
+            host.set_blind(self.faults.holds);
         }
         if on && self.faults.cut_off {
             self.on_wire = self.on_wire.filter(|wire| wire.sender != End::Host(0));
@@ -185,7 +193,7 @@ impl VirtualBus {
             (HostFault::ErrorPassive, true) => report::passive(),
             (HostFault::Unacknowledged, true) => report::unacknowledged(),
             (HostFault::ErrorPassive | HostFault::Unacknowledged, false) => report::active(),
-            (HostFault::Down | HostFault::QueueFull | HostFault::Removed, _) => return,
+            (HostFault::Down | HostFault::QueueFull | HostFault::Held | HostFault::Removed, _) => return,
         };
         host.deliver(Received { frame: said, at: now }, 0);
     }
@@ -255,6 +263,7 @@ impl VirtualBus {
 
     /// As [`VirtualBus::advance`]. Returns the time of the next event known then; [`Instant::FAR_FUTURE`] without one.
     pub(crate) fn advance_to(&mut self, until: Instant) -> Instant {
+        self.fill_adapter();
         let next = loop {
             let Some((at, event)) = self.next() else {
                 break Instant::FAR_FUTURE;
@@ -299,10 +308,13 @@ impl VirtualBus {
     fn heads(&self) -> impl Iterator<Item = (End, &Received)> {
         let hosts = self.hosts.iter().enumerate();
         let devices = self.devices.iter().enumerate();
-        let cut_off = self.faults.cut_off;
+        let silent = self.faults.cut_off || self.faults.holds;
+        let first = self.faults.adapter.front();
         hosts
-            .filter(move |(at, _)| !(cut_off && *at == 0))
-            .filter_map(|(at, host)| Some((End::Host(at), host.peek_sent()?)))
+            .filter(move |(at, _)| !(silent && *at == 0))
+            .filter_map(move |(at, host)| {
+                Some((End::Host(at), first.filter(|_| at == 0).or_else(|| host.peek_sent())?))
+            })
             .chain(devices.filter_map(|(at, device)| Some((End::Device(at), device.pending.front()?))))
             .chain(self.faults.foreign.iter().enumerate().map(|(at, foreign)| (End::Foreign(at), &foreign.next)))
     }
@@ -331,8 +343,8 @@ impl VirtualBus {
             return;
         };
         let bits = match sender {
-            End::Host(at) => self.hosts[at].bits_of_sent(),
-            End::Device(_) | End::Foreign(_) => bits_on_wire(&head.frame),
+            End::Host(at) if at > 0 || self.faults.adapter.is_empty() => self.hosts[at].bits_of_sent(),
+            End::Host(_) | End::Device(_) | End::Foreign(_) => bits_on_wire(&head.frame),
         };
         if bits == 0 {
             // An error frame is a report of the host's controller and is not transmitted.
@@ -390,6 +402,14 @@ impl VirtualBus {
         }
     }
 
+    /// Lets the adapter of the first host take its frames, while it holds frames or has not sent all of them.
+    fn fill_adapter(&mut self) {
+        let BusFaults { holds, adapter, .. } = &mut self.faults;
+        if let Some(host) = self.hosts.first_mut().filter(|_| *holds || !adapter.is_empty()) {
+            adapter.extend(std::iter::from_fn(|| host.take_sent()));
+        }
+    }
+
     /// Hands a frame to all nodes except its sender.
     fn deliver(&mut self, received: Received, sender: End, bits: u32) {
         let Received { frame, at } = received;
@@ -415,6 +435,12 @@ impl VirtualBus {
 
     fn remove(&mut self, sender: End) {
         match sender {
+            End::Host(0) if !self.faults.adapter.is_empty() => {
+                self.faults.adapter.pop_front();
+                if self.faults.adapter.is_empty() && !self.faults.holds {
+                    self.hosts[0].set_blind(false);
+                }
+            }
             End::Host(at) => _ = self.hosts[at].take_sent(),
             End::Device(at) => self.devices[at].pop_pending(),
             End::Foreign(at) => self.faults.sent_foreign(at, self.now),

@@ -18,7 +18,7 @@ mod tests;
 
 pub use faults::{LineFaults, Stuck, WireFaults};
 
-use std::{any::Any, time::Duration};
+use std::{any::Any, collections::VecDeque, time::Duration};
 
 use can::Instant;
 use serial::{Settings, TimedByte, VirtualLinePeer};
@@ -43,6 +43,10 @@ pub struct SerialLine {
     /// Delay of bytes to the host, and the time of the last delivery.
     late: Duration,
     delivered: Instant,
+    /// The adapter of the host holds the bytes for the device.
+    held: bool,
+    /// Bytes in the adapter of the host, which holds them or has not sent all of them yet.
+    waiting: VecDeque<TimedByte>,
     damage: Damage,
 }
 
@@ -184,6 +188,8 @@ impl SerialLine {
             adapter: latency.map(|latency| Adapter { latency, since: Instant::ZERO, bytes: [0; USB_PACKET], count: 0 }),
             late: Duration::ZERO,
             delivered: Instant::ZERO,
+            held: false,
+            waiting: VecDeque::new(),
             damage: Damage::default(),
         };
         line.collect();
@@ -211,7 +217,7 @@ impl SerialLine {
     pub fn set_faults(&mut self, faults: &LineFaults) {
         self.to_device.wire.set(faults.to_device, faults.seed);
         self.to_host.wire.set(faults.to_host, !faults.seed);
-        self.late = faults.late;
+        (self.late, self.held) = (faults.late, faults.held);
         self.damage = Damage { left: faults.count, telegrams: 0 };
     }
 
@@ -349,7 +355,8 @@ impl SerialLine {
     fn next(&self) -> Option<(Instant, LineEvent)> {
         let on_wire = |direction: &Direction| direction.on_wire.map(|byte| byte.at);
         let offered = || {
-            let byte = self.host.as_ref()?.peek()?;
+            let host = self.host.as_ref().filter(|_| !self.held)?;
+            let byte = self.waiting.front().copied().or_else(|| host.peek())?;
             let (end, ..) = self.to_device.end(byte.at.max(self.now));
             Some(end)
         };
@@ -373,8 +380,19 @@ impl SerialLine {
     }
 
     fn take_from_host(&mut self) {
-        let free = self.to_device.on_wire.is_none();
-        if let Some(next) = self.host.as_mut().filter(|_| free).and_then(|host| host.take()) {
+        let Some(host) = &mut self.host else {
+            return;
+        };
+        if self.held || !self.waiting.is_empty() {
+            self.waiting.extend(std::iter::from_fn(|| host.take()));
+        }
+        if self.held && !self.waiting.is_empty() {
+            self.damage.telegrams = self.damage.telegrams.max(1);
+        }
+        if self.to_device.on_wire.is_none()
+            && !self.held
+            && let Some(next) = self.waiting.pop_front().or_else(|| host.take())
+        {
             self.to_device.start(next.byte, next.at.max(self.now));
         }
     }

@@ -34,6 +34,9 @@ pub struct BusBudget {
     /// The line of a sensor; absent for a bus and for a bundle of lines.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub sensor: Option<SensorBudget>,
+    /// Time, ms, after which frames that an adapter holds neither enable nor move a drive; absent without drives on CAN.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub stale_after_ms: Option<u64>,
 }
 
 /// The line of a force sensor or of an ultrasonic matrix.
@@ -143,6 +146,7 @@ fn check_bus(file: &CellFile, index: usize, sensors: &[WrenchNodeConfig]) -> any
         bits_per_second: 1e3 * f64::from(bus.bitrate_kbps),
         serial: None,
         sensor: None,
+        stale_after_ms: (!axes.is_empty()).then(|| file.cell.group_config(index).host_lost_after().as_millis() as u64),
     };
     let (key, nodes) = (Path::to("bus").then(index), nodes(axes.len(), io.len(), sensors.len()));
     if analysis.busy > period {
@@ -201,6 +205,7 @@ fn check_lines(file: &CellFile, index: usize) -> anyhow::Result<BusBudget> {
         bits_per_second: f64::from(bundle.baud) * lines.len() as f64,
         serial: Some(Bundle { protocol: bundle.protocol, baud: bundle.baud, lines }),
         sensor: None,
+        stale_after_ms: None,
     };
     if answered <= period {
         return Ok(budget);
@@ -243,6 +248,7 @@ fn of_sensor(period: Duration, sensor: &ForceSensor) -> BusBudget {
             baud: settings.baud,
             scan_ms: None,
         }),
+        stale_after_ms: None,
     }
 }
 
@@ -275,6 +281,7 @@ fn of_matrix(period: Duration, matrix: &Ultrasonic) -> BusBudget {
             baud: matrix.baud,
             scan_ms: Some(config.scan_time().as_secs_f64() * 1e3),
         }),
+        stale_after_ms: None,
     }
 }
 

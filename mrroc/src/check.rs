@@ -190,6 +190,9 @@ impl CheckReport {
                 }
             }
         }
+        if let Some(stale) = bus.stale_after_ms {
+            writeln!(f, "  no drive acts on frames that an adapter held for {stale} ms or longer")?;
+        }
         write_messages(f, &bus.messages)
     }
 }

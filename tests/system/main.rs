@@ -33,6 +33,7 @@ mod force_refusals;
 mod force_sensors;
 mod heap;
 mod held_bar;
+mod held_frames;
 mod homing;
 mod host_closed;
 mod hostile_host;

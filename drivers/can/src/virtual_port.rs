@@ -55,6 +55,8 @@ struct Shared {
     down: AtomicBool,
     /// The transmit queue takes nothing.
     full: AtomicBool,
+    /// The port does not learn which frames wait for the bus.
+    blind: AtomicBool,
 }
 
 /// A frame and its number of bits on the wire, which are counted once.
@@ -75,7 +77,8 @@ impl Port for VirtualPort {
             return Err(PortError::Down);
         }
         let unsent = self.to_bus.buffer().capacity() - self.to_bus.slots();
-        let full = self.shared.full.load(Ordering::Relaxed) || unsent > self.most_unsent;
+        let bounded = !self.shared.blind.load(Ordering::Relaxed);
+        let full = self.shared.full.load(Ordering::Relaxed) || bounded && unsent > self.most_unsent;
         let mut taken = 0;
         for &frame in frames.iter().filter(|_| !full) {
             let bits = bits_on_wire(&frame);
@@ -190,6 +193,12 @@ impl VirtualPeer {
     pub fn set_full(&mut self, full: bool) {
         self.shared.full.store(full, Ordering::Relaxed);
     }
+
+    /// Lets the port ignore the bound of [`Port::bound_unsent`], or observe it again: a port on an adapter does not learn
+    /// which frames wait for the bus.
+    pub fn set_blind(&mut self, blind: bool) {
+        self.shared.blind.store(blind, Ordering::Relaxed);
+    }
 }
 
 #[cfg(test)]
@@ -295,8 +304,12 @@ mod tests {
         peer.take_sent();
         assert_eq!(port.send(at(3), &[frame(5), frame(6)]), Ok(2), "one frame may wait");
         assert_eq!(port.send(at(4), &[frame(7)]), Ok(0));
+        peer.set_blind(true);
+        assert_eq!(port.send(at(5), &[frame(8)]), Ok(1), "the port does not see the frames that wait");
+        peer.set_blind(false);
+        assert_eq!(port.send(at(6), &[frame(9)]), Ok(0));
         port.bound_unsent(usize::MAX).unwrap();
-        assert_eq!(port.send(at(5), &[frame(8)]), Ok(1));
+        assert_eq!(port.send(at(7), &[frame(9)]), Ok(1));
     }
 
     #[test]

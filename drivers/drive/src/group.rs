@@ -88,7 +88,7 @@ pub struct EmergencyStop {
 pub struct GroupCounters {
     /// The port's own counters.
     pub port: Counters,
-    /// Set-points dropped because the port did not take them in their cycle.
+    /// Set-points dropped because the port did not take them in their cycle, or because no drive of the bus answered.
     pub dropped_setpoints: u64,
     /// Cycles whose SYNC the port did not take, and therefore no set-point either.
     pub dropped_syncs: u64,

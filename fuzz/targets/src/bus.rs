@@ -165,6 +165,7 @@ impl Bench {
                     HostFault::QueueFull,
                     HostFault::Unacknowledged,
                     HostFault::Removed,
+                    HostFault::Held,
                 ])?;
                 WorldFault::Host { bus, fault }
             }

@@ -177,7 +177,7 @@ fn line_faults(input: &mut Unstructured) -> arbitrary::Result<LineFaults> {
     };
     let (to_device, to_host) = (wire()?, wire()?);
     let late = Duration::from_micros(u64::from(u16::arbitrary(input)?));
-    Ok(LineFaults { seed: u64::from(u8::arbitrary(input)?), to_device, to_host, late, count: None })
+    Ok(LineFaults { seed: u64::from(u8::arbitrary(input)?), to_device, to_host, late, ..LineFaults::default() })
 }
 
 /// A whole answer of a device with arbitrary content.

@@ -3,6 +3,7 @@
 #[cfg(test)]
 mod tests;
 
+use std::collections::VecDeque;
 use std::time::Duration;
 
 use can::{Frame, Instant, Received, StandardId};
@@ -54,6 +55,9 @@ pub enum HostFault {
     /// The plug of the host is out: no node acknowledges the frames of the host, whose controller repeats the first
     /// frame for ever. The host receives nothing. The other nodes hear each other.
     Unacknowledged,
+    /// The adapter of the host accepts and acknowledges every frame of the host, and sends none until the end of the fault.
+    /// Then it sends all of them in order, as fast as the bus takes them. The host receives meanwhile.
+    Held,
     /// The interface is removed for ever, for example a USB adapter. The fault has no end.
     Removed,
 }
@@ -128,6 +132,10 @@ pub(super) struct BusFaults {
     pub(super) foreign: Vec<Foreign>,
     /// The controller of the first host is cut off the bus.
     pub(super) cut_off: bool,
+    /// The adapter of the first host holds its frames.
+    pub(super) holds: bool,
+    /// Frames in the adapter of the first host, which holds them or has not sent all of them yet.
+    pub(super) adapter: VecDeque<Received>,
     numbers: u64,
 }
 

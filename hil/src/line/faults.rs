@@ -15,6 +15,9 @@ pub struct LineFaults {
     pub to_host: WireFaults,
     /// Delay of all bytes from the device to the host, without a USB adapter.
     pub late: Duration,
+    /// The adapter of the host accepts all bytes for the device, and sends none until the end of the fault. Then it sends
+    /// all of them in order.
+    pub held: bool,
     /// Greatest number of damaged telegrams, of both directions together; `None` without a limit. A telegram is a sequence
     /// of bytes without a gap.
     pub count: Option<u32>,

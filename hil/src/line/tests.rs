@@ -299,3 +299,23 @@ fn a_fault_with_a_count_damages_a_telegram_as_a_whole() {
     rig.line.advance(at(10_000));
     assert_eq!((rig.heard().len(), rig.line.damaged()), (4, 1));
 }
+
+#[test]
+fn held_bytes_arrive_in_order_at_the_end_while_the_host_receives() {
+    let mut rig = rig(None, Duration::ZERO);
+    rig.line.set_faults(&LineFaults { held: true, ..LineFaults::default() });
+    for number in 0..100 {
+        let now = at(u64::from(number) * 1_000);
+        assert_eq!(rig.host.write(now, &[number; 20]), Ok(20));
+        rig.line.advance(now);
+    }
+    rig.line.inject(&[7], true, at(100_000));
+    assert_eq!(rig.host.read(at(100_000), &mut [0; 8]), Ok(1));
+    assert_eq!((rig.heard(), rig.line.damaged()), (&[][..], 1));
+    rig.line.set_faults(&LineFaults::default());
+    rig.host.write(at(100_000), &[200]).unwrap();
+    rig.line.advance(at(100_000_000));
+    let bytes: Vec<_> = rig.heard().iter().map(|(byte, _)| *byte).collect();
+    let sent = (0..100).flat_map(|number| [number; 20]).chain([200]);
+    assert_eq!(bytes, sent.collect::<Vec<_>>());
+}

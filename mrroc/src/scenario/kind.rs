@@ -36,6 +36,9 @@ pub enum FaultKind {
     QueueFull,
     /// No node acknowledges the frames of the host, which receives nothing.
     NoAcknowledge,
+    /// The adapter of the host holds the frames of the host, and sends them at the end of the fault. On a serial line, the
+    /// adapter holds telegrams for the drive.
+    HostHeld,
     /// The rest of a telegram is lost.
     Torn,
     /// Bytes of nobody arrive before an answer.
@@ -92,7 +95,7 @@ pub enum FaultKind {
 
 impl FaultKind {
     /// The kinds, each once.
-    pub const ALL: [Self; 37] = [
+    pub const ALL: [Self; 38] = [
         Self::Lost,
         Self::Late,
         Self::Duplicated,
@@ -104,6 +107,7 @@ impl FaultKind {
         Self::InterfaceRemoved,
         Self::QueueFull,
         Self::NoAcknowledge,
+        Self::HostHeld,
         Self::Torn,
         Self::Garbage,
         Self::WrongBaud,
@@ -211,6 +215,7 @@ impl FaultKind {
                 | Self::InterfaceRemoved
                 | Self::QueueFull
                 | Self::NoAcknowledge
+                | Self::HostHeld
         );
         let once = matches!(
             self,
@@ -317,6 +322,7 @@ impl FaultKind {
             Self::InterfaceRemoved => of_host(HostFault::Removed),
             Self::QueueFull => of_host(HostFault::QueueFull),
             Self::NoAcknowledge => of_host(HostFault::Unacknowledged),
+            Self::HostHeld => of_host(HostFault::Held),
             Self::HeartbeatSilent => {
                 let id = StandardId::new(0x700 + node()?).expect("a node-ID has seven bits");
                 of_frames(Frames::Id(id), FrameFault::Lost)
@@ -337,7 +343,7 @@ impl FaultKind {
 
     fn on_line(self, line: hil::LineId, numbers: &FaultNumbers) -> Result<Vec<WorldFault>, &'static str> {
         let &FaultNumbers { probability, count, seed, late, .. } = numbers;
-        let faults = |to_device, to_host| LineFaults { seed, to_device, to_host, late: Duration::ZERO, count };
+        let faults = |to_device, to_host| LineFaults { seed, to_device, to_host, count, ..LineFaults::default() };
         let fault = |faults| Ok(vec![WorldFault::Line { line, faults }]);
         let none = WireFaults::default();
         let both = |wire| fault(faults(wire, wire));
@@ -345,6 +351,7 @@ impl FaultKind {
             Self::Lost if probability >= 1.0 => fault(faults(none, WireFaults { stuck: Some(Stuck::Silent), ..none })),
             Self::Lost | Self::Torn => both(WireFaults { tear: 0.1 * probability, ..none }),
             Self::Late => fault(LineFaults { late, count, ..LineFaults::default() }),
+            Self::HostHeld => fault(LineFaults { held: true, ..LineFaults::default() }),
             Self::Duplicated => both(WireFaults { duplicate: 0.01 * probability, ..none }),
             Self::Corrupted => both(WireFaults { bit_error_rate: 0.01 * probability, ..none }),
             Self::Garbage => {

@@ -85,6 +85,16 @@ const fn found(name: &'static str, kind: FaultKind, wires: &'static [Wire], with
     FaultCase { name, origin: Origin::Emulated(kind), wires, within, ..USUAL }
 }
 
+/// Frames that the adapter of the host holds for longer than the cell tolerates, and then sends.
+const fn held(name: &'static str, milliseconds: u64) -> FaultCase {
+    FaultCase {
+        lasts: Some(ms(milliseconds)),
+        expected: |_, _| Ok(By(&[D::Answers])),
+        observed_for: ms(2500),
+        ..found(name, FaultKind::HostHeld, BOTH, Within::Cut)
+    }
+}
+
 /// An axis that does not follow: nothing shows at rest, and little in the last part of a motion.
 fn not_following(_: Wire, phase: FaultPhase) -> Result<Expected, &'static str> {
     Ok(match phase {
@@ -169,6 +179,18 @@ pub(super) const CASES: &[FaultCase] = &[
         expected: |_, _| Ok(By(&[D::Answers, D::Port, D::Sending])),
         ..found("no acknowledge for 100 ms", K::NoAcknowledge, CAN, Within::Cut)
     },
+    FaultCase {
+        name: "host frames held for 8 ms",
+        origin: Origin::Emulated(K::HostHeld),
+        wires: CAN,
+        lasts: Some(ms(8)),
+        ..USUAL
+    },
+    held("host frames held for 30 ms", 30),
+    held("host frames held for 100 ms", 100),
+    held("host frames held for 290 ms", 290),
+    held("host frames held for 400 ms", 400),
+    held("host frames held for 1 s", 1_000),
     FaultCase {
         expected: |_, _| Ok(By(&[D::Answers])),
         ..found("telegrams torn", K::Torn, SERIAL, Within::Time(ms(200)))

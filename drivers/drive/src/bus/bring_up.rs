@@ -90,6 +90,8 @@ pub(crate) struct NodeBringUp {
     agreed: bool,
     /// Whether the drive cannot send its mode of operation by itself.
     unwatched: bool,
+    /// The node is not configured: what bring-up wrote is read back.
+    verifies: bool,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -148,6 +150,7 @@ impl NodeBringUp {
             value: None,
             agreed: false,
             unwatched: false,
+            verifies: false,
         }
     }
 
@@ -160,6 +163,21 @@ impl NodeBringUp {
         self.phase = Phase::Booting { since: now, booted: false, asked: false };
         self.boots = 0;
         self.learnt = Learnt::default();
+        self.verifies = false;
+    }
+
+    /// Begins to read back the configuration of a node that left the state operational and has not booted. A difference is an
+    /// error. The torque is removed first.
+    pub(crate) fn verify(&mut self, now: Instant) {
+        self.phase = Phase::Configuring(Progress::at(0, now));
+        self.boots = 0;
+        self.learnt = Learnt::default();
+        self.verifies = true;
+    }
+
+    /// Whether the configuration is read back. A boot ends this: the node is then configured.
+    pub(crate) fn verifies(&self) -> bool {
+        self.verifies
     }
 
     /// Starts the change to operational. The caller sends the command.
@@ -195,6 +213,7 @@ impl NodeBringUp {
             }
             (Phase::Booting { .. } | Phase::Configuring(_) | Phase::Configured, nmt::NmtState::Initialising) => {
                 sdo.reset();
+                self.verifies = false;
                 let since = if let Phase::Booting { since, .. } = self.phase {
                     since
                 } else {
@@ -249,8 +268,11 @@ impl NodeBringUp {
                     self.phase = Phase::Configured;
                     return Ok(());
                 };
-                let left_out =
-                    self.agreed && current.instead() || self.unwatched && matches!(current, Step::Set(_, Need::Watch));
+                let left_out = self.agreed && current.instead()
+                    || self.unwatched && matches!(current, Step::Set(_, Need::Watch))
+                    || self.verifies && self.is_unverifiable(step);
+                let reading_back = reading_back || self.verifies && current.persists();
+                let progress = Progress { reading_back, ..progress };
                 if !asked && left_out {
                     self.phase = Phase::Configuring(Progress::at(step + 1, now));
                     return self.advance(sdo, now);
@@ -292,6 +314,18 @@ impl NodeBringUp {
         }
     }
 
+    /// Whether reading back the object of a step says nothing: a later step writes the object again, or the object cannot be
+    /// read.
+    fn is_unverifiable(&self, step: usize) -> bool {
+        if let Step::Configure(_, number) = self.program[step]
+            && !self.configuration[number].readable
+        {
+            return true;
+        }
+        let written = self.program[step].written();
+        written.is_some() && self.program[step + 1..].iter().any(|later| later.written() == written)
+    }
+
     fn judge(
         &mut self,
         step: Step,
@@ -307,7 +341,7 @@ impl NodeBringUp {
         let absent = matches!(abort, Some(AbortCode::NO_OBJECT | AbortCode::NO_SUBINDEX));
         let read_only = abort == Some(AbortCode::READ_ONLY);
         let closed = matches!(abort, Some(AbortCode::NOT_MAPPABLE | AbortCode::ACCESS));
-        let unmapped = !reading_back && (absent || read_only || closed);
+        let unmapped = (!reading_back || self.verifies) && (absent || read_only || closed);
         match step {
             Step::Set(write, Need::Watch) if unmapped => {
                 // A drive that lacks a timer can map its mode all the same.

@@ -7,8 +7,8 @@
 //!
 //! | frame | when |
 //! |---|---|
-//! | SYNC | every cycle, if a PDO of the bus is synchronous, except before the first stops after refused batches |
-//! | RPDO 1 of each drive | every cycle |
+//! | SYNC | every cycle, if a PDO of the bus is synchronous, except before the first stops after refused or unanswered batches |
+//! | RPDO 1 of each drive | every cycle; not after two SYNCs that no drive answered (`in_flight`) |
 //! | heartbeat of the host | once per heartbeat period, and with each NMT command of the recovery of a drive |
 //! | RPDO 1 of an I/O node | after the first heartbeat of the host: changed or refused levels, and with each heartbeat |
 //! | SDO request, or NMT command to one node | one at most, during a change of mode or after a fault |
@@ -54,6 +54,7 @@ use crate::cia402::{self, AxisConfig, Cia402Group, ConfigError, GroupConfig};
 use crate::wrench::{self, WrenchLink, WrenchNode, WrenchNodeConfig};
 use crate::{AxisCommand, AxisState, BringUpError, DriveGroup, EmergencyStop, Fault, GroupCounters, Warning, Warnings};
 use bring_up::Profile;
+use in_flight::InFlight;
 use own_heartbeat::OwnHeartbeat;
 use routes::{Place, Routes};
 use service::ServiceFrame;
@@ -87,8 +88,7 @@ pub struct CanBus<P: Port> {
     needs_sync: bool,
     /// SYNCs in the batch: none or one.
     batch_syncs: usize,
-    /// Cycles in a row, up to the last, in which the port took no frame of the batch.
-    refused: u32,
+    in_flight: InFlight,
     syncs: Syncs,
     heartbeat: OwnHeartbeat,
     counters: GroupCounters,
@@ -215,7 +215,7 @@ impl<P: Port> CanBus<P> {
             turn: 0,
             needs_sync,
             batch_syncs: 0,
-            refused: 0,
+            in_flight: InFlight::default(),
             syncs: Syncs::default(),
             heartbeat: OwnHeartbeat::due_at(Instant::ZERO),
             counters: GroupCounters::default(),
@@ -506,6 +506,9 @@ impl<P: Port> DriveGroup for CanBus<P> {
         if self.syncs.sent {
             self.counters.missed_answers += missed;
         }
+        if due {
+            self.note_answers(missed, now);
+        }
         let synced = self.syncs.attempted && self.syncs.sent;
         self.sensors.iter_mut().for_each(|sensor| sensor.end_of_read(now, self.cycle, synced));
         self.syncs.attempted = false;
@@ -521,8 +524,9 @@ impl<P: Port> DriveGroup for CanBus<P> {
 
     fn write(&mut self, now: Instant, commands: &[AxisCommand]) {
         self.begin_batch();
-        let watched = self.heartbeat.watched;
-        self.drives.write(now, commands, watched, &mut self.members, &mut self.batch);
+        let conditions = self.conditions(now);
+        let withheld = self.drives.write(now, commands, conditions, &mut self.members, &mut self.batch);
+        self.note_setpoints(withheld, self.drives.sent_for_torque());
     }
 
     /// The host's heartbeat when due, outputs, and at most one service frame follow the set-points. Outputs are sent
@@ -562,7 +566,8 @@ impl<P: Port> DriveGroup for CanBus<P> {
         for io in &mut self.io {
             io.handed_over(&mut outputs, now, self.cycle);
         }
-        self.counters.dropped_setpoints += setpoints.saturating_sub(taken.saturating_sub(syncs)) as u64;
+        let withheld = self.withheld();
+        self.counters.dropped_setpoints += (setpoints.saturating_sub(taken.saturating_sub(syncs)) + withheld) as u64;
         if heartbeat {
             let period = self.config.heartbeat_period;
             self.heartbeat.offered(now, taken >= before_outputs, period);
@@ -572,7 +577,7 @@ impl<P: Port> DriveGroup for CanBus<P> {
         }
         self.batch.clear();
         self.cycle += 1;
-        taken >= syncs + setpoints
+        taken >= syncs + setpoints && withheld == 0
     }
 
     fn emergency_stop(&self) -> Option<EmergencyStop> {

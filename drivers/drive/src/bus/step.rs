@@ -78,6 +78,20 @@ impl Step {
         Ok([Write::new(PRODUCER_HEARTBEAT, period), Write::new(CONSUMER_HEARTBEAT_1, consumer)].map(Self::required))
     }
 
+    /// The object that the step writes.
+    pub(crate) fn written(&self) -> Option<Object> {
+        match self {
+            Self::Set(write, _) => Some(write.object),
+            Self::Configure(object, _) => Some(*object),
+            _ => None,
+        }
+    }
+
+    /// Whether the written value stays in operation: all but the objects that set-points carry.
+    pub(crate) fn persists(&self) -> bool {
+        self.written().is_some_and(|object| object != CONTROLWORD && object != TORQUE_OFFSET)
+    }
+
     pub(crate) fn object(&self) -> Object {
         match self {
             Self::Identity(object, _)

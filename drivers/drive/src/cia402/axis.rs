@@ -1,5 +1,7 @@
 //! One drive during operation.
 
+mod lost;
+
 use std::time::Duration;
 
 use can::{Frame, Instant};
@@ -18,7 +20,7 @@ use super::search_watch::SearchWatch;
 use super::service::{ModeSwitch, Service};
 use super::target::Target;
 use crate::bus::Learnt;
-use crate::{AxisCommand, AxisState, BringUpError, EmergencyStop, Fault, Permille, Power, Refusal};
+use crate::{AxisCommand, AxisState, EmergencyStop, Fault, Permille, Power, Refusal};
 
 /// Answers until a controlword surely has its effect in the statusword. The drive latches the word at the next SYNC
 /// and acts on it afterwards. The SYNC after that samples the effect, and the following cycle reads the sample.
@@ -52,10 +54,15 @@ pub(super) struct CanAxis {
     /// Cycles since the error code came.
     error_age: u32,
     heartbeat: Option<Instant>,
-    operational: bool,
+    /// NMT state of the node, as its last heartbeat reports it.
+    node_state: nmt::NmtState,
     booted: bool,
     /// A reset of the fault demands a new bring-up of the drive.
     recovery_due: bool,
+    /// The present reset has begun a recovery.
+    recovery_tried: bool,
+    /// A drive in pre-operational took the order to remove its torque, and must show its statusword.
+    switched_off: bool,
 
     goal: Goal,
     /// Answers received in time since the goal changed.
@@ -118,9 +125,11 @@ impl CanAxis {
             error_code: learnt.error_code,
             error_age: 0,
             heartbeat: None,
-            operational: true,
+            node_state: nmt::NmtState::Operational,
             booted: false,
             recovery_due: false,
+            recovery_tried: false,
+            switched_off: false,
             goal: Goal::Off,
             answers: 0,
             unsettled_since: None,
@@ -218,7 +227,7 @@ impl CanAxis {
     /// Takes a heartbeat or boot-up received at `at`.
     pub(super) fn heard(&mut self, state: nmt::NmtState, at: Instant) {
         self.heartbeat = Some(at);
-        self.operational = state == nmt::NmtState::Operational;
+        self.node_state = state;
         if state == nmt::NmtState::Initialising {
             self.booted = true;
             self.search.forget();
@@ -247,7 +256,7 @@ impl CanAxis {
 
     /// The demand of a stop by the contact of the emergency stop.
     pub(super) fn emergency_stop(&self) -> Option<EmergencyStop> {
-        let works = self.operational && !self.booted && !self.state.recovering;
+        let works = self.is_operational() && !self.booted && !self.state.recovering;
         self.contact?.emergency_stop(works)
     }
 
@@ -294,7 +303,7 @@ impl CanAxis {
             self.error_code = 0;
         }
         let waited = now.since(*self.heartbeat.get_or_insert(now));
-        if !self.operational || self.booted {
+        if !self.is_operational() || self.booted {
             self.latch(Fault::LeftOperational { node });
         }
         // Checked before silence, because dropped set-points may cause the silence.
@@ -384,8 +393,9 @@ impl CanAxis {
         now: Instant,
     ) -> Frame {
         let goal = self.goal_of(command);
+        self.recovery_tried &= goal == self.goal;
         if command == AxisCommand::ResetFault && !self.state.recovering {
-            self.recovery_due |= goal != self.goal && self.is_lost(now);
+            self.demand_recovery(goal != self.goal, now);
             self.reset();
         }
         if goal != self.goal {
@@ -419,61 +429,20 @@ impl CanAxis {
         process_data::encode(self.config.node, self.config.mode, word, self.target)
     }
 
+    /// Whether the last frame of [`command`](Self::command) leads the drive to torque, or keeps its torque.
+    pub(super) fn is_for_torque(&self) -> bool {
+        self.goal == Goal::On
+    }
+
+    /// Whether the drive stands at its last target without a further one: the drive is enabled in a position mode.
+    pub(super) fn holds_position(&self) -> bool {
+        let enabled = self.statusword.power_state() == PowerState::OperationEnabled;
+        enabled && !self.rests_at_zero() && !self.telling && self.modes.is(self.config.mode.of_operation())
+    }
+
     /// Notes whether the port took the frame from [`command`](Self::command) and the SYNC before it.
     pub(super) fn handed_over(&mut self, taken: bool) {
         self.not_sent = if taken { 0 } else { self.not_sent.saturating_add(1) };
-    }
-
-    /// Clears the fault, unless the drive itself is in its fault state or is not configured: only a recovery clears the
-    /// fault of such a drive. A cause that persists is latched again at the next reading.
-    fn reset(&mut self) {
-        let faulted = matches!(self.statusword.power_state(), PowerState::Fault | PowerState::FaultReactionActive);
-        if !faulted && !self.booted {
-            self.state.fault = None;
-            self.error_code = 0;
-            self.unserved = false;
-        }
-    }
-
-    /// Whether only a new bring-up helps: the drive booted, left the state operational, or is silent and may have done so
-    /// unheard.
-    fn is_lost(&self, now: Instant) -> bool {
-        let silent = self.state.age > self.group.tolerated_missing;
-        let unheard = self.heartbeat.is_some_and(|heard| now.since(heard) > self.group.heartbeat_lost_after());
-        self.booted || !self.operational || silent && unheard
-    }
-
-    /// Begins a recovery, if one is due. The reference is lost, unless the drive reports one at its end.
-    pub(super) fn begin_recovery(&mut self) -> bool {
-        let due = std::mem::take(&mut self.recovery_due);
-        if due {
-            self.state.recovering = true;
-            self.search.forget();
-            self.latch(Fault::LeftOperational { node: self.config.node.raw() });
-        }
-        due
-    }
-
-    /// Ends a recovery that failed.
-    pub(super) fn end_recovery(&mut self, error: Option<BringUpError>) {
-        let node = self.config.node.raw();
-        self.end_recovery_by(match error {
-            Some(error) => Fault::NotBack { error },
-            None => Fault::LeftOperational { node },
-        });
-    }
-
-    /// Ends a recovery by a fault.
-    pub(super) fn end_recovery_by(&mut self, fault: Fault) {
-        self.state.recovering = false;
-        self.state.fault = Some(fault);
-        // The node is not configured.
-        self.booted = true;
-    }
-
-    /// Whether the last SYNC was answered.
-    pub(super) fn is_answered(&self) -> bool {
-        self.answered
     }
 
     fn goal_of(&self, command: AxisCommand) -> Goal {
@@ -542,48 +511,6 @@ impl CanAxis {
             let (node, statusword) = (self.config.node.raw(), self.statusword.0);
             self.latch(Fault::Stuck { node, statusword, waited });
         }
-    }
-
-    /// The next service request to the drive, for an idle SDO client.
-    pub(super) fn next_service(&mut self) -> Option<Service> {
-        if !self.operational || self.booted || self.unserved {
-            return None;
-        }
-        if self.state.fault == Some(self.drive_fault(0)) {
-            return Some(Service::ErrorCode);
-        }
-        // A drive in a mode that the group did not command stays in it while the quick stop brakes.
-        if matches!(self.state.fault, Some(Fault::ModeChanged { .. })) {
-            return None;
-        }
-        let request = self.modes.next(self.wanted_mode())?;
-        let tells = matches!(request, Service::Tell(_));
-        let braking = self.goal == Goal::Stopped
-            && matches!(self.statusword.power_state(), PowerState::OperationEnabled | PowerState::QuickStopActive);
-        // CiA 402 leaves open what a change of mode does to a drive that brakes.
-        if braking && tells {
-            return None;
-        }
-        self.telling = tells;
-        Some(request)
-    }
-
-    /// Takes the answer to a service request: the value of the object, or the abort code.
-    pub(super) fn served(&mut self, service: Service, result: Result<u32, u32>) {
-        match (service, result) {
-            (Service::Tell(mode), Ok(_)) => self.modes.taken(mode),
-            (Service::Look, Ok(value)) => {
-                self.modes.seen(ModeOfOperation::from_raw(value as i8));
-            }
-            (Service::ErrorCode, Ok(code @ 1..)) => self.name_fault(code as u16),
-            // The drive has a fault but reports no error code.
-            (Service::ErrorCode, Ok(0)) => self.unserved = true,
-            (_, Err(code)) => {
-                self.unserved = true;
-                self.latch(Fault::Aborted { node: self.config.node.raw(), object: service.object(), code });
-            }
-        }
-        self.telling = false;
     }
 
     /// Latches a fault. The first fault stays until reset, because later ones are mostly its consequences.

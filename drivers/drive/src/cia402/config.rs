@@ -230,6 +230,12 @@ impl GroupConfig {
         periods.max(LISTENING_AT_LEAST)
     }
 
+    /// Time without a heartbeat of the host after which a drive brakes by itself and enters pre-operational (object
+    /// 0x1016). The drive does not act on set-points that are held for longer.
+    pub fn host_lost_after(&self) -> Duration {
+        self.heartbeat_lost_after()
+    }
+
     /// Time without a heartbeat after which a drive counts as lost.
     pub(crate) fn heartbeat_lost_after(&self) -> Duration {
         self.heartbeat_period * HEARTBEATS_TO_LOSE

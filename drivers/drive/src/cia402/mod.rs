@@ -102,12 +102,25 @@ pub(crate) struct Cia402Group {
     drives: Vec<Drive>,
 }
 
+/// Conditions of the bus for the RPDOs of a cycle.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Conditions {
+    /// The drives have been sent a heartbeat, whose absence they would notice.
+    pub(crate) watched: bool,
+    /// RPDOs that lead a drive to torque, or keep its torque, are withheld.
+    pub(crate) withholds: bool,
+    /// The other RPDOs of a drive in a position mode are withheld.
+    pub(crate) waits: bool,
+}
+
 /// One drive in operation. Service requests use the SDO client of its [`Member`].
 struct Drive {
     axis: CanAxis,
     service: Option<Service>,
     recovery: Recovery,
     setpoint: Option<Target>,
+    /// The batch of this cycle has a frame for this drive.
+    queued: bool,
     /// Fault at the end of the last cycle.
     fault: Option<Fault>,
 }
@@ -120,6 +133,7 @@ impl Cia402Group {
             service: None,
             recovery: Recovery::None,
             setpoint: None,
+            queued: false,
             fault: None,
         };
         Self { drives: axes.iter().map(drive).collect() }
@@ -233,16 +247,16 @@ impl Cia402Group {
         missed
     }
 
-    /// Takes the commands of a cycle and appends one RPDO of each drive to `batch`. `watched` says that the drives have
-    /// been sent a heartbeat.
+    /// Takes the commands of a cycle and appends one RPDO of each drive to `batch`, except for RPDOs that are withheld.
+    /// Returns the number of withheld RPDOs for torque.
     pub(crate) fn write(
         &mut self,
         now: Instant,
         commands: &[AxisCommand],
-        watched: bool,
+        Conditions { watched, withholds, waits }: Conditions,
         members: &mut [Member],
         batch: &mut Vec<Frame>,
-    ) {
+    ) -> usize {
         let mut refused = false;
         for (drive, &command) in self.drives.iter_mut().zip(commands) {
             drive.setpoint = match drive.axis.check(command) {
@@ -254,10 +268,21 @@ impl Cia402Group {
                 }
             };
         }
+        let mut withheld = 0;
         for ((drive, member), &command) in self.drives.iter_mut().zip(members).zip(commands) {
-            batch.push(drive.axis.command(command, drive.setpoint, refused, watched, now));
+            let frame = drive.axis.command(command, drive.setpoint, refused, watched, now);
+            let for_torque = drive.axis.is_for_torque();
+            drive.queued = !(if for_torque { withholds } else { waits && drive.axis.holds_position() });
+            withheld += usize::from(for_torque && !drive.queued);
+            batch.extend(drive.queued.then_some(frame));
             drive.start_service(&mut member.sdo, now);
         }
+        withheld
+    }
+
+    /// Whether the batch of this cycle has a controlword that leads a drive to torque.
+    pub(crate) fn sent_for_torque(&self) -> bool {
+        self.drives.iter().any(|drive| drive.queued && drive.axis.is_for_torque())
     }
 
     /// Whether every drive has a fault, so that the group has no set-points. `false` without drives.
@@ -267,9 +292,11 @@ impl Cia402Group {
 
     /// Notes how many frames of the batch the port took: `syncs` SYNCs, then `setpoints` set-points.
     pub(crate) fn handed_over(&mut self, taken: usize, syncs: usize, setpoints: usize) {
-        for (i, drive) in self.drives.iter_mut().enumerate() {
+        let mut through = 0;
+        for drive in &mut self.drives {
+            through += usize::from(drive.queued);
             // A SYNC alone carries no set-point that could be lost.
-            drive.axis.handed_over(taken >= syncs + setpoints.min(i + 1));
+            drive.axis.handed_over(taken >= syncs + setpoints.min(through));
         }
     }
 }

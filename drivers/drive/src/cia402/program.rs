@@ -13,9 +13,10 @@ use crate::bus::{Need, Step};
 pub(super) const MAXON: u32 = 0x0000_00FB;
 /// Object 0x6007: the drive brakes by a quick stop when the connection is lost.
 const ABORT_CONNECTION_BY_QUICK_STOP: i16 = 3;
-/// Object 0x1029:1: the NMT state stays as it is when the connection is lost. In pre-operational, the drive would hold
-/// its axis under torque and receive no controlword to remove the torque.
-const STAY_OPERATIONAL: u8 = 1;
+/// Object 0x1029:1 (CiA 301 §7.5.2.32): the drive enters pre-operational when the connection is lost, where no RPDO reaches
+/// it. Set-points that a buffer held until then can neither enable nor move the drive. The drive brakes and holds its axis
+/// under torque. The host removes the torque by SDO, and starts the drive again after a reset.
+const PRE_OPERATIONAL: u8 = 0;
 /// Object 0x605A (CiA 402-2 §8.4.5): the quick stop brakes on its ramp, and the drive then holds the axis.
 const QUICK_STOP_RAMP_AND_HOLD: i16 = 6;
 /// Objects 0x605B to 0x605D (CiA 402-2 §8.4.6 to §8.4.8): the drive brakes on its profile deceleration (0x6084) before
@@ -60,7 +61,7 @@ pub(crate) fn program(group: &GroupConfig, axis: &AxisConfig) -> Result<Vec<Step
     );
     steps.extend(
         [
-            Write::new(ERROR_BEHAVIOUR, STAY_OPERATIONAL),
+            Write::new(ERROR_BEHAVIOUR, PRE_OPERATIONAL),
             // What a drive has stored would decide how an axis brakes, when it faults and which way it turns.
             Write::new(SHUTDOWN_OPTION, BRAKE_ON_PROFILE),
             Write::new(DISABLE_OPERATION_OPTION, BRAKE_ON_PROFILE),

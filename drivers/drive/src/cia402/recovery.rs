@@ -4,9 +4,16 @@
 //! ```text
 //!            reset of the fault             last step              heartbeat 0x05 and an answer to SYNC
 //!   faulted ──────────────────► Configuring ─────────► Starting ───────────────────────────────────────► off
-//!      ▲                             │ error              │ error, boot-up
-//!      └◄────────────────────────────┴────────────────────┘
+//!      ▲ │                         ▲ │ error             ▲ │ error, boot-up
+//!      └◄│─────────────────────────│─┴───────────────────│─┘
+//!        │ pre-operational         │ differs             │
+//!        └─────────────────► Verifying ──────────────────┘
+//!                                      last step
 //! ```
+//!
+//! A drive in pre-operational may have lost only the heartbeat of the host. Its configuration is read back, without a reset
+//! of the communication. The NMT start follows answers to requests that were sent behind all earlier frames of the host, so
+//! a buffer that held these frames is empty.
 
 use can::Instant;
 use canopen::nmt::{Command, NmtState};
@@ -20,6 +27,8 @@ use crate::{BringUpError, Fault};
 pub(super) enum Recovery {
     #[default]
     None,
+    /// The configuration of the node is read back.
+    Verifying,
     /// The node was sent a reset of its communication, and is configured.
     Configuring,
     /// The node was sent the NMT start at `since`.
@@ -78,17 +87,28 @@ impl Drive {
             }
             member.sdo.reset();
             self.service = None;
+            if self.axis.may_be_configured() {
+                member.bring_up.verify(now);
+                self.recovery = Recovery::Verifying;
+                return None;
+            }
             member.bring_up.reset(now);
             self.recovery = Recovery::Configuring;
             return Some(Command::ResetCommunication);
         }
         let Member { bring_up, sdo } = member;
         if let Err(error) = bring_up.advance(sdo, now) {
-            self.give_up(Some(error), member);
+            if self.recovery == Recovery::Verifying && bring_up.verifies() {
+                sdo.reset();
+                self.recovery = Recovery::None;
+                self.axis.begin_anew();
+            } else {
+                self.give_up(Some(error), member);
+            }
             return None;
         }
         match self.recovery {
-            Recovery::Configuring if bring_up.configured() && may_send => {
+            Recovery::Verifying | Recovery::Configuring if bring_up.configured() && may_send => {
                 bring_up.start(now);
                 self.recovery = Recovery::Starting { since: now };
                 return Some(Command::Start);
@@ -106,7 +126,7 @@ impl Drive {
                 let (node, waited) = (bring_up.node().raw(), now.since(since));
                 self.give_up(Some(BringUpError::NotOperational { node, waited }), member);
             }
-            Recovery::None | Recovery::Configuring | Recovery::Starting { .. } => {}
+            Recovery::None | Recovery::Verifying | Recovery::Configuring | Recovery::Starting { .. } => {}
         }
         None
     }

@@ -1,8 +1,9 @@
-//! Service requests during operation: the mode of operation, and the code of a fault without EMCY.
+//! Service requests during operation: the mode of operation, the code of a fault without EMCY, and the end of torque in
+//! pre-operational.
 
 use canopen::Object;
-use canopen::cia402::ModeOfOperation;
-use canopen::objects::{ERROR_CODE, MODE_OF_OPERATION, MODE_OF_OPERATION_DISPLAY};
+use canopen::cia402::{Controlword, ModeOfOperation};
+use canopen::objects::{CONTROLWORD, ERROR_CODE, MODE_OF_OPERATION, MODE_OF_OPERATION_DISPLAY, STATUSWORD};
 use canopen::sdo::Write;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -13,6 +14,10 @@ pub(super) enum Service {
     Look,
     /// Read object 0x603F, after a fault without EMCY.
     ErrorCode,
+    /// Write object 0x6040: disable voltage.
+    SwitchOff,
+    /// Read object 0x6041.
+    Statusword,
 }
 
 impl Service {
@@ -21,6 +26,8 @@ impl Service {
             Self::Tell(_) => MODE_OF_OPERATION,
             Self::Look => MODE_OF_OPERATION_DISPLAY,
             Self::ErrorCode => ERROR_CODE,
+            Self::SwitchOff => CONTROLWORD,
+            Self::Statusword => STATUSWORD,
         }
     }
 
@@ -28,7 +35,8 @@ impl Service {
     pub(super) fn write(self) -> Option<Write> {
         match self {
             Self::Tell(mode) => Some(Write::new(self.object(), mode.raw())),
-            Self::Look | Self::ErrorCode => None,
+            Self::SwitchOff => Some(Write::new(self.object(), Controlword::DISABLE_VOLTAGE.0)),
+            Self::Look | Self::ErrorCode | Self::Statusword => None,
         }
     }
 }

@@ -135,6 +135,35 @@ fn a_host_that_is_cut_off_neither_sends_nor_receives() {
 }
 
 #[test]
+fn held_frames_are_sent_in_order_at_the_end_while_the_host_receives() {
+    let (mut bus, mut host, mut listener) = bus();
+    host.bound_unsent(0).unwrap();
+    bus.set_host_fault(HostFault::Held, true, at(0));
+    // The adapter takes more frames than wait in any port.
+    let sent: Vec<_> = (0..100).map(|number| 0x200 + number).collect();
+    for (number, &id) in (0..).zip(&sent) {
+        assert_eq!(host.send(at(number * 100), &[frame(id)]), Ok(1));
+        bus.advance(at(number * 100 + 50));
+    }
+    listener.send(at(10_000), &[frame(0x182)]).unwrap();
+    bus.advance(at(11_000));
+    assert_eq!(heard(&mut listener), []);
+    assert_eq!(heard(&mut host).len(), 1);
+    bus.set_host_fault(HostFault::Held, false, at(11_000));
+    // A later frame waits behind the held ones.
+    bus.advance(at(12_000));
+    assert_eq!(host.send(at(12_000), &[frame(0x300)]), Ok(1));
+    bus.advance(at(100_000));
+    let heard = heard(&mut listener);
+    let ids: Vec<_> = heard.iter().map(|(id, _)| *id).collect();
+    assert_eq!(ids, [&sent[..], &[0x300]].concat());
+    assert!(heard[0].1 > 11_000 && heard.windows(2).all(|pair| pair[0].1 < pair[1].1), "{heard:?}");
+    // Afterwards the port observes its bound again.
+    host.send(at(100_000), &[frame(0x301)]).unwrap();
+    assert_eq!(host.send(at(100_000), &[frame(0x302)]), Ok(0));
+}
+
+#[test]
 fn a_removed_interface_is_gone_for_ever() {
     let (mut bus, mut host, mut listener) = bus();
     host.send(at(0), &[frame(0x181)]).unwrap();

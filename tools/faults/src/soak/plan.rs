@@ -87,11 +87,11 @@ impl PlannedFault {
     }
 }
 
-/// Kind of a fault of the emulators. `None` for the other faults of the table, and for a removed interface: without it, the
-/// plans of the published runs stay as they are.
+/// Kind of a fault of the emulators. `None` for the other faults of the table, for a removed interface and for held frames:
+/// without them, the plans of the published runs stay as they are.
 fn emulated(case: &FaultCase) -> Option<FaultKind> {
     match case.origin {
-        Origin::Emulated(FaultKind::InterfaceRemoved) => None,
+        Origin::Emulated(FaultKind::InterfaceRemoved | FaultKind::HostHeld) => None,
         Origin::Emulated(kind) => Some(kind),
         Origin::Deadlines(_) | Origin::EmergencyStop | Origin::Generator(_) => None,
     }

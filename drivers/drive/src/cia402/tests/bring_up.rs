@@ -91,7 +91,7 @@ fn an_epos4_is_asked_and_told_this_frame_by_frame() {
         if told.starts_with("602#239A60") {
             // This store lacks the reaction to a lost connection and the offsets. An EPOS4 lacks the home offset.
             for lacking in [
-                "2F29100101000000",
+                "2F29100100000000",
                 "2B5B600001000000",
                 "2B5C600001000000",
                 "2B5D600001000000",

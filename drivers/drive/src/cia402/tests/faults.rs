@@ -38,8 +38,8 @@ fn missing_answers_are_ridden_through_and_then_the_drive_is_silent() {
     let frames = bench.cycle(NONE, STAND);
     assert_eq!(bench.states[0].fault, Some(Fault::Silent { node: 2, cycles: 3 }));
     assert!(!bench.states[0].following);
-    // A silent drive may still receive frames.
-    assert_eq!(frames[1], "202#0200E8030000");
+    // The frames of the host may wait in a buffer, and the drive stands.
+    assert_eq!(frames, ["080#"]);
     assert_eq!(bench.group.counters().missed_answers, 5);
     // A reset does not clear silence; an answer allows it.
     bench.cycle(NONE, RESET);
@@ -385,7 +385,9 @@ fn after_we_were_silent_too_long_no_drive_is_enabled_blindly() {
     let mut bench = enabled();
     stand(&mut bench, 0x0737);
     bench.now += 4 * group_config().heartbeat_period;
+    // The drive holds the last set-point, which the order to stop replaces before the next SYNC.
     let frames = bench.cycle(&["702#05"], STAND);
-    assert_eq!(&frames[1][..8], "202#0200");
+    assert_eq!(&frames[0][..8], "202#0200");
+    assert_eq!(bench.cycle(&["702#05"], STAND)[0], "080#");
     assert!(matches!(bench.states[0].fault, Some(Fault::HostLate { node: 2, .. })));
 }

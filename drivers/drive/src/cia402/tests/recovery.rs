@@ -247,3 +247,92 @@ fn without_a_reset_a_drive_that_booted_is_left_alone() {
     }
     assert_eq!(bench.states[1].fault, Some(Fault::LeftOperational { node: 2 }));
 }
+
+/// Two enabled drives, of which node 2 lost the heartbeat of the host: it brakes, holds, and shows pre-operational.
+fn in_pre_operational() -> Bench {
+    let mut bench = Bench::up(&[1, 2]);
+    bench.enable();
+    // The objects of the drive after its quick stop.
+    bench.stores[1].put(0x6041, 0, &[0x17, 0x02]);
+    bench.cycle(&[answer(1, 0x0737, 1_000), "702#7F".to_owned()], &[AxisCommand::Stand; 2]);
+    assert_eq!(bench.states[1].fault, Some(Fault::LeftOperational { node: 2 }));
+    bench
+}
+
+/// Frames to node 2 besides its set-points.
+fn services(sent: &[Vec<String>]) -> Vec<&str> {
+    let all = sent.iter().flatten().map(String::as_str);
+    all.filter(|frame| frame.starts_with("000#") || frame.starts_with("602#")).collect()
+}
+
+#[test]
+fn the_torque_of_a_drive_in_pre_operational_is_removed_by_a_service_request() {
+    let mut bench = in_pre_operational();
+    let alive = [answer(1, 0x0737, 1_000), "702#7F".to_owned()];
+    // A drive that is being stopped keeps its torque.
+    let stops: Vec<_> = (0..10).map(|_| bench.cycle(&alive, &[AxisCommand::Stand; 2])).collect();
+    assert_eq!(services(&stops), NONE);
+    // The drive does not answer as long as its request waits in a buffer.
+    bench.stores[1].mute = Some((0x6040, 0));
+    let held: Vec<_> = (0..500).map(|_| bench.cycle(&alive, &OFF)).collect();
+    let requests = services(&held);
+    assert!((3..20).contains(&requests.len()), "{requests:?}");
+    assert!(requests.iter().all(|frame| *frame == "602#2B40600000000000" || frame.starts_with("602#80")));
+    assert_eq!(bench.states[1].power, Power::Changing);
+    bench.stores[1].mute = None;
+    bench.stores[1].put(0x6041, 0, &[0x40, 0x02]);
+    let off: Vec<_> = (0..200).map(|_| bench.cycle(&alive, &OFF)).collect();
+    let requests = services(&off);
+    assert_eq!(requests[requests.len() - 2..], ["602#2B40600000000000", "602#4041600000000000"]);
+    assert_eq!(bench.states[1].power, Power::Off);
+}
+
+#[test]
+fn a_drive_in_pre_operational_is_started_without_a_reset_if_its_configuration_is_unchanged() {
+    let mut bench = in_pre_operational();
+    let before = bench.stores[1].objects.clone();
+    let sent = recover(&mut bench, &[&answer(2, 0x0240, 80)]);
+    assert_eq!(bench.stores[1].objects, before);
+    let requests = services(&sent);
+    // The torque goes first, and the NMT start follows the last answer.
+    let (start, reads): (Vec<&str>, Vec<&str>) = requests.iter().partition(|frame| frame.starts_with("000#"));
+    assert_eq!((start, requests.last()), (vec!["000#0102"], Some(&"000#0102")));
+    let writes: Vec<_> = reads.iter().filter(|frame| !frame.starts_with("602#40")).collect();
+    assert_eq!(writes.first(), Some(&&"602#2B40600000000000"));
+    let of_set_points = |frame: &&&&str| frame[6..10] == *"4060" || frame[6..10] == *"B260";
+    assert_eq!(writes.iter().filter(of_set_points).count(), writes.len(), "{writes:?}");
+    assert_eq!(bench.states[1].fault, None);
+}
+
+#[test]
+fn a_drive_in_pre_operational_with_another_configuration_is_reset_and_configured() {
+    // The heartbeat consumer, a mapping, a setting of the cell, and an object that the drive lost.
+    for (index, subindex, bytes) in [(0x1016, 1, &[0; 4][..]), (0x1A00, 0, &[0]), (0x3001, 1, &[1, 0, 0, 0])] {
+        let mut bench = in_pre_operational();
+        let configured = bench.stores[1].objects[&(index, subindex)].clone();
+        bench.stores[1].put(index, subindex, bytes);
+        let sent = recover(&mut bench, &[&answer(2, 0x0240, 80)]);
+        let commands: Vec<_> = services(&sent).into_iter().filter(|frame| frame.starts_with("000#")).collect();
+        assert_eq!(commands, ["000#8202", "000#0102"], "{index:#06x}");
+        assert_eq!(bench.states[1].fault, None);
+        assert_eq!(bench.stores[1].objects[&(index, subindex)], configured);
+    }
+}
+
+#[test]
+fn a_reset_waits_for_the_heartbeat_that_shows_pre_operational() {
+    let mut bench = Bench::up(&[1, 2]);
+    bench.enable();
+    // Node 2 answers no SYNC, and its heartbeat is not due yet.
+    for _ in 0..4 {
+        bench.cycle(&[answer(1, 0x0737, 1_000)], &[AxisCommand::Stand; 2]);
+    }
+    assert!(matches!(bench.states[1].fault, Some(Fault::Silent { node: 2, .. })));
+    for _ in 0..10 {
+        bench.cycle(&[answer(1, 0x0737, 1_000)], &RESET);
+    }
+    assert!(!bench.states[1].recovering);
+    bench.cycle(&[answer(1, 0x0737, 1_000), "702#7F".to_owned()], &RESET);
+    recover(&mut bench, &[&answer(2, 0x0240, 80)]);
+    assert_eq!(bench.states[1].fault, None);
+}

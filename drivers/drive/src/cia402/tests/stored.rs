@@ -10,7 +10,7 @@ use canopen::Object;
 /// Object, stored value that bring-up must not leave, and the driver's value. The quick stop of `axis_config` brakes
 /// with 6000 rpm/s.
 const STORED: [(u16, u8, &[u8], &[u8]); 14] = [
-    (0x1029, 1, &[0], &[1]),
+    (0x1029, 1, &[1], &[0]),
     (0x1400, 5, &[1, 0], &[0x70, 0x17]),
     (0x1801, 5, &[1, 0], &[0, 0]),
     (0x605B, 0, &[0, 0], &[1, 0]),
