@@ -34,6 +34,7 @@ mod force_sensors;
 mod heap;
 mod held_bar;
 mod homing;
+mod homing_handshake;
 mod host_closed;
 mod hostile_host;
 mod identify;
