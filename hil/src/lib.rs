@@ -39,7 +39,7 @@ pub use cia401::{
 };
 pub use device::{Device, DeviceFault, LineDevice};
 pub use epos_serial::{EposSerial, EposSerialConfig};
-pub use epos4::{DriveContact, Epos4, Epos4Config};
+pub use epos4::{DriveContact, Epos4, Epos4Config, HomingDeviation};
 pub use force_sensor::{
     CanForceSensor, CanForceSensorConfig, CountWidth, ForceSensorError, Resolution, SerialForceSensor,
     SerialForceSensorConfig, TemperatureCourse, TransducerConfig,

@@ -35,6 +35,7 @@ mod heap;
 mod held_bar;
 mod held_frames;
 mod homing;
+mod homing_handshake;
 mod host_closed;
 mod hostile_host;
 mod identify;

@@ -57,6 +57,13 @@ pub enum Fault {
          {most}"
     )]
     Implausible { node: u8, moved: i32, most: u32, within: Duration },
+    /// The drive was told to search for its reference, and neither its statusword nor its counter showed a search. A
+    /// result that it shows is of an earlier search.
+    #[error("node {node}: homing did not begin, no search was seen for {waited:.1?}")]
+    NoSearch { node: u8, waited: Duration },
+    /// The drive reported that it found its reference, and its position counter is further from zero than the motor can be.
+    #[error("node {node}: homing ended at a count of {counter}, more than {most} from zero")]
+    NotAtZero { node: u8, counter: i32, most: u32 },
     /// Another controller changed the drive's mode of operation from the commanded one (object 0x6060) to the reported
     /// one (object 0x6061).
     #[error("node {node}: mode of operation is {found}, commanded was {expected}")]

@@ -31,6 +31,8 @@ impl Fault {
             Self::NotBack { .. } => "check supply and bus cable of the node, then reset again",
             Self::PowerLost { .. } => "check motor supply and enable input",
             Self::Implausible { .. } => "home again",
+            Self::NoSearch { .. } => "check homing of the drive, and start_timeout_ms",
+            Self::NotAtZero { .. } => "check home offset of the drive, then home again",
             Self::ModeChanged { .. } => "look for another master",
             Self::Stuck { .. } => "check motor supply and brake",
             Self::Aborted { .. } => "read the object with `mrroc sdo`",

@@ -35,6 +35,8 @@ pub struct Epos4Config {
     /// Time at which the drive trips once with an over-current; never where absent. A drive whose motor has no power at
     /// this time trips when the motor gets power.
     pub trips_at: Option<Instant>,
+    /// Deviations of the homing mode.
+    pub homing: HomingDeviation,
     /// A contact at a digital input.
     pub contact: Option<DriveContact>,
     /// Seed of noise and ripple.
@@ -43,6 +45,21 @@ pub struct Epos4Config {
     pub axis: AxisConfig,
     /// Mounting point of the axis. `None`: the motor carries a load of its own.
     pub mount: Option<Mount>,
+}
+
+/// How the homing mode of a drive (CiA 402-2 §11) deviates from that of the emulator.
+///
+/// CiA 402 demands of a drive that a rising start bit begins a search, and gives no time in which the statusword shows the
+/// search.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct HomingDeviation {
+    /// The drive keeps the result of its last search until a restart, and shows the result in homing mode until this time
+    /// after the start bit. `None`: the drive drops the result when it leaves homing mode or power.
+    pub old_result: Option<Duration>,
+    /// The start bit begins no search.
+    pub never_searches: bool,
+    /// Time from the first success in the statusword until the position shows the counter that the search set.
+    pub counter_late: Duration,
 }
 
 /// A contact at a digital input of a drive, closed at first.
@@ -78,6 +95,7 @@ impl Epos4Config {
             rated_torque: None,
             vendor_bits: 0,
             trips_at: None,
+            homing: HomingDeviation::default(),
             contact: None,
             seed: u64::from(node.raw()),
             axis,

@@ -12,6 +12,7 @@
 //! * Cyclic modes ignore halt.
 
 mod coupled;
+mod homing_memory;
 mod modes;
 mod standstill;
 mod status;
@@ -29,6 +30,7 @@ use crate::node::objects::Objects;
 use crate::node::table::Slot;
 use crate::{Demand, Feedback, PlantAxis, Trip, plant::SUB_STEP};
 use coupled::Chunk;
+use homing_memory::HomingMemory;
 use standstill::Standstill;
 
 const POSITION_WINDOW: Slot = slot_of(Object::new(0x6067, 0));
@@ -47,6 +49,9 @@ pub(super) struct Drive {
     feedback: Feedback,
     /// Device position = raw counter + offset.
     offset: i32,
+    /// The offset that the position shows.
+    shown_offset: i32,
+    homing_memory: HomingMemory,
     referenced: bool,
     power: PowerState,
     /// The current braking ramp, and the state that follows.
@@ -103,6 +108,8 @@ impl Drive {
             counts_per_turn: f64::from(config.axis.counts_per_revolution),
             vendor_bits: config.vendor_bits,
             offset: 0,
+            shown_offset: 0,
+            homing_memory: HomingMemory::new(config.homing),
             referenced: false,
             power: PowerState::NotReadyToSwitchOn,
             braking: None,
@@ -125,6 +132,8 @@ impl Drive {
     /// The device restarts: no power, no reference, and the counter begins at zero.
     pub(super) fn restart(&mut self) {
         self.offset = self.feedback.counts.wrapping_neg();
+        self.shown_offset = self.offset;
+        self.homing_memory.restart();
         self.referenced = false;
         self.power = PowerState::NotReadyToSwitchOn;
         self.mode = ModeOfOperation::None;
@@ -268,6 +277,7 @@ impl Drive {
         self.segment = (self.motion.position, 0.0);
         self.profile = Setpoints::default();
         self.homing = Homing::Idle;
+        self.homing_memory.leave();
         self.in_window = None;
         self.braking = None;
     }

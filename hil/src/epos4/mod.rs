@@ -40,7 +40,7 @@ use crate::node::table::Slot;
 use crate::node::{Identity, Node, NodeConfig};
 use crate::plant::AngleProbe;
 use crate::{Device, DeviceFault, PlantAxis};
-pub use config::{DriveContact, Epos4Config};
+pub use config::{DriveContact, Epos4Config, HomingDeviation};
 use drive::Drive;
 use table::{TABLE, slot};
 

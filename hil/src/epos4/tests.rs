@@ -17,7 +17,7 @@ use std::time::Duration;
 use canopen::NodeId;
 
 use super::*;
-use crate::{AxisConfig, DeviceId, Irp6Axis, World};
+use crate::{AxisConfig, DeviceId, HomingDeviation, Irp6Axis, World};
 use can::timing::Bitrate;
 use can::{Port, Received, StandardId, VirtualPort};
 

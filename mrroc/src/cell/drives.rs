@@ -29,6 +29,9 @@ const RUNAWAY: f64 = 1.2;
 /// Plausibility bound of the velocity of a motor on a CAN bus, as a multiple of the velocity of a runaway loop.
 const PLAUSIBLE: f64 = 2.0;
 
+/// Default time within which a drive shows that it searches for its reference.
+const SEARCH_START: Duration = Duration::from_secs(1);
+
 /// Longest time from switching on an effector's drives until the last one follows.
 pub const ENABLING: Duration = Duration::from_secs(5);
 
@@ -147,6 +150,7 @@ impl Axis {
                 search_speed: self.homing.search_velocity,
                 zero_speed: self.homing.zero_velocity,
                 acceleration: self.homing.acceleration,
+                start_timeout: self.homing.start_timeout(),
             },
             plausible_velocity: PLAUSIBLE * self.runaway_velocity(),
             following_error: self.following_error,
@@ -258,6 +262,11 @@ impl Robot {
 }
 
 impl Homing {
+    /// Longest time from the start of homing until a drive shows that it searches.
+    pub(super) fn start_timeout(&self) -> Duration {
+        self.start_timeout_ms.map_or(SEARCH_START, |given| Duration::from_millis(u64::from(given)))
+    }
+
     /// The search by the host for a motor with these `limits`.
     fn by_host(&self, limits: Limits) -> HostHoming {
         let leg = |velocity: f64, distance: f64| HomingLeg {

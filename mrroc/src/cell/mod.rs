@@ -386,6 +386,9 @@ pub struct Homing {
     /// Whether a search by the host that meets a limit switch returns across the home switch and starts again, once;
     /// true where absent.
     pub reverse_at_limit: Option<bool>,
+    /// Longest time, ms, from the start of homing until a drive on CAN shows that it searches; 1000 where absent. A result
+    /// that the drive shows before is of an earlier search.
+    pub start_timeout_ms: Option<u32>,
     /// Motor velocity while searching for the switch, rad/s.
     pub search_velocity: f64,
     /// Motor velocity while searching for the index pulse, rad/s.

@@ -75,6 +75,8 @@ fn of_drives() -> Vec<Fault> {
         Fault::NotBack { error: BringUpError::NeverBooted { node, waited } },
         Fault::PowerLost { node, statusword: 0x0240 },
         Fault::Implausible { node, moved: -123_456, most: 12_345, within: WAITED },
+        Fault::NoSearch { node, waited },
+        Fault::NotAtZero { node, counter: -123_456, most: 12_345 },
         Fault::ModeChanged {
             node,
             expected: ModeOfOperation::CyclicSynchronousPosition,
@@ -108,6 +110,8 @@ fn of_drives() -> Vec<Fault> {
             | Fault::NotBack { .. }
             | Fault::PowerLost { .. }
             | Fault::Implausible { .. }
+            | Fault::NoSearch { .. }
+            | Fault::NotAtZero { .. }
             | Fault::ModeChanged { .. }
             | Fault::Stuck { .. }
             | Fault::Aborted { .. }

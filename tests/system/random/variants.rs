@@ -73,6 +73,7 @@ fn on_can(cell: &mut Cell) {
     robot.tool = [0.0, 0.0, 0.1];
     let axis = &mut robot.axis[2];
     (axis.min_position, axis.max_position) = (Some(-70.0), Some(90.0));
+    axis.homing.start_timeout_ms = Some(1_000);
     axis.emulator.vendor = Some(0xFB);
     axis.emulator.counts_per_revolution = Some(4000);
     axis.emulator.rated_torque = Some(0.42);

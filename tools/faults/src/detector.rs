@@ -119,7 +119,8 @@ impl Detector {
             | Fault::PowerLost { .. }
             | Fault::ModeChanged { .. }
             | Fault::Stuck { .. } => Self::NodeState,
-            Fault::Implausible { .. } => Self::Plausibility,
+            Fault::NoSearch { .. } => Self::TimeOuts,
+            Fault::Implausible { .. } | Fault::NotAtZero { .. } => Self::Plausibility,
             Fault::NotSent { .. }
             | Fault::NotAcknowledged { .. }
             | Fault::HeartbeatNotSent { .. }

@@ -16,6 +16,7 @@ use super::homing::Search;
 use super::measurement::Measurement;
 use super::process_data::{self, Answer};
 use super::program::MAXON;
+use super::search_evidence::SearchRules;
 use super::search_watch::SearchWatch;
 use super::service::{ModeSwitch, Service};
 use super::target::Target;
@@ -134,7 +135,7 @@ impl CanAxis {
             answers: 0,
             unsettled_since: None,
             power: PowerStateMachine::default(),
-            search: Search::default(),
+            search: Search::new(SearchRules::new(&group, &config)),
             search_watch: SearchWatch::new(&config),
             modes: ModeSwitch::settled(config.mode.of_operation()),
             telling: false,
@@ -147,7 +148,7 @@ impl CanAxis {
         let faulted = matches!(learnt.statusword.power_state(), PowerState::Fault | PowerState::FaultReactionActive);
         axis.search.doubted = faulted && questions_position(learnt.error_code);
         let word = axis.homing_word(learnt.statusword);
-        axis.search.answered(word);
+        axis.search.learnt(word);
         axis.judge_power(PowerState::NotReadyToSwitchOn);
         axis
     }
@@ -178,10 +179,13 @@ impl CanAxis {
     pub(super) fn answered(&mut self, answer: Answer, sampled: Instant, at: Instant) {
         let before = self.statusword.power_state();
         self.statusword = answer.statusword;
-        self.search.answered(self.homing_word(answer.statusword));
+        let position = answer.position;
+        let failure = self.search.answered(self.homing_word(answer.statusword), position, sampled, at);
+        if let Some(fault) = failure.and_then(|failure| failure.fault(self.config.node)) {
+            self.latch(fault);
+        }
         let search = self.search.may_set_counter();
         let search_speed = search.then_some(self.config.homing.search_speed);
-        let position = answer.position;
         let taken = self.measurement.take(position, sampled, at, search_speed);
         if let Err(jump) = &taken {
             let jump = *jump;
@@ -408,6 +412,7 @@ impl CanAxis {
             command == AxisCommand::Home,
             powered,
             self.modes.is(ModeOfOperation::Homing) && !self.telling,
+            now,
         );
         self.aim(command, setpoint, hold, powered);
         self.judge_progress(now);

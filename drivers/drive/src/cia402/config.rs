@@ -115,6 +115,8 @@ pub struct HomingConfig {
     pub zero_speed: f64,
     /// Acceleration, rad/s² (object 0x609A).
     pub acceleration: f64,
+    /// Longest time from the start of homing to the first sign of a search.
+    pub start_timeout: Duration,
 }
 
 /// A value of any length of an object of a drive.

@@ -8,13 +8,13 @@ use super::config::{AxisConfig, GroupConfig};
 use crate::{AxisState, Fault, Increments, Scale};
 
 /// Greatest error of a displacement from rounding both positions, increments.
-const ROUNDING: f64 = 2.0;
+pub(super) const ROUNDING: f64 = 2.0;
 
 /// Shortest time, periods, that the check allows for a displacement.
 ///
 /// Answers delayed by the bus or an adapter arrive in a burst. All answers of a burst are taken for samples of the
 /// last SYNC. Two successive ones are a period apart in fact, or two periods where the answer between them is lost.
-const SHORTEST: u32 = 2;
+pub(super) const SHORTEST: u32 = 2;
 
 /// Position and velocity of the last plausible sample.
 #[derive(Clone, Copy, Debug)]

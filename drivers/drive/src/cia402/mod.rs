@@ -63,6 +63,7 @@ mod program;
 mod recording;
 mod recovery;
 mod reserved;
+mod search_evidence;
 mod search_watch;
 mod service;
 mod target;

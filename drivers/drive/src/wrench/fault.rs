@@ -85,6 +85,8 @@ impl WrenchFault {
             | Fault::NotBack { .. }
             | Fault::PowerLost { .. }
             | Fault::Implausible { .. }
+            | Fault::NoSearch { .. }
+            | Fault::NotAtZero { .. }
             | Fault::ModeChanged { .. }
             | Fault::Stuck { .. }
             | Fault::Aborted { .. }

@@ -40,6 +40,9 @@ impl Drive {
     }
 
     pub(super) fn start_or_stop_homing(&mut self, started: bool, objects: &Objects) {
+        if started && !self.homing_memory.begin(self.simulated) {
+            return;
+        }
         if started {
             let method = HomingMethod(objects.i(slot!(HOMING_METHOD)) as i8);
             self.referenced = false;

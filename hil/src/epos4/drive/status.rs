@@ -21,6 +21,10 @@ impl Drive {
     pub(in crate::epos4) fn publish(&mut self, objects: &mut Objects, dt: f64) {
         let unit = self.counts_per_velocity(objects);
         let position = self.feedback.counts.wrapping_add(self.offset);
+        let ended = !matches!(self.homing, Homing::Searching(_) | Homing::Resting(_));
+        if self.shown_offset == self.offset || self.homing_memory.shows_counter(ended, self.simulated) {
+            self.shown_offset = self.offset;
+        }
         let demand = self.motion.position.round() as i64 as i32;
         let per_amp = objects.f(slot!(EPOS4_TORQUE_CONSTANT)) * 1e-9;
         let current = self.feedback.torque / per_amp.max(1e-12);
@@ -38,7 +42,7 @@ impl Drive {
         };
         self.standstill.advance(self.feedback.velocity, told, &window, dt);
         let signed = |value: f64| value.round() as i32 as u32;
-        objects.set(slot!(POSITION_ACTUAL), position as u32);
+        objects.set(slot!(POSITION_ACTUAL), self.feedback.counts.wrapping_add(self.shown_offset) as u32);
         objects.set(POSITION_DEMAND, demand as u32);
         objects.set(slot!(FOLLOWING_ERROR_ACTUAL), late as u32);
         objects.set(slot!(VELOCITY_ACTUAL), signed(self.feedback.velocity / unit));
@@ -62,7 +66,7 @@ impl Drive {
         objects.set(slot!(STATUSWORD), u32::from(word));
     }
 
-    fn statusword(&self, objects: &Objects) -> u16 {
+    fn statusword(&mut self, objects: &Objects) -> u16 {
         use ModeOfOperation as M;
         let operational = objects.nmt == canopen::nmt::NmtState::Operational;
         let state = self.power.bits().unwrap_or_default();
@@ -99,10 +103,11 @@ impl Drive {
                     Homing::Idle | Homing::Searching(_) => HomingStatus::InProgress,
                     Homing::Resting(_) => HomingStatus::Attained,
                     Homing::Done => HomingStatus::Done,
+                    Homing::Failed { standing: false } if halted && standing => HomingStatus::ErrorStanding,
                     Homing::Failed { standing: false } => HomingStatus::ErrorMoving,
                     Homing::Failed { standing: true } => HomingStatus::ErrorStanding,
                 };
-                word.with(status.bits(), true)
+                word.with(self.homing_memory.show(status, self.simulated).bits(), true)
             }
             M::CyclicSynchronousPosition | M::CyclicSynchronousVelocity | M::CyclicSynchronousTorque => {
                 word.with(BIT_12, self.follows())

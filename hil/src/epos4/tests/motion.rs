@@ -258,6 +258,73 @@ fn each_axis_of_an_irp6_is_homed_to_its_index() {
 }
 
 #[test]
+fn a_search_that_failed_and_is_halted_shows_that_it_stands() {
+    let mut bench = Bench::booted(config());
+    bench.write("986000", 38, 1);
+    bench.enable(6);
+    bench.write("406000", 0x1F, 2);
+    bench.write("406000", 0x010F, 2);
+    bench.run(100);
+    assert_eq!(homing_bits(&mut bench), 0x2400);
+}
+
+/// Bits 15, 13, 12 and 10 of the statusword.
+fn homing_bits(bench: &mut Bench) -> u16 {
+    bench.statusword() & 0xB400
+}
+
+#[test]
+fn an_old_result_shows_until_its_time_after_the_start_bit() {
+    let homing = HomingDeviation { old_result: Some(Duration::from_millis(40)), ..HomingDeviation::default() };
+    let mut bench = Bench::booted(Epos4Config { homing, ..config() });
+    bench.write("986000", 34, 1);
+    bench.write("996002", 60, 4);
+    bench.enable(6);
+    assert_eq!(homing_bits(&mut bench), 0x0400, "no result before the first search");
+    bench.write("406000", 0x1F, 2);
+    assert_eq!(homing_bits(&mut bench), 0, "no old result");
+    bench.run(10_000);
+    assert_eq!(homing_bits(&mut bench), 0x9400);
+    // The result outlives the mode and the power.
+    bench.write("406000", 0x06, 2);
+    bench.enable(8);
+    bench.write("606000", 6, 1);
+    assert_eq!(homing_bits(&mut bench), 0x9400);
+    bench.write("406000", 0x1F, 2);
+    bench.run(10);
+    assert_eq!(homing_bits(&mut bench), 0x1400, "the old result");
+    bench.run(40);
+    assert_eq!(homing_bits(&mut bench), 0, "the new search");
+}
+
+#[test]
+fn a_drive_that_never_searches_moves_nothing() {
+    let homing = HomingDeviation { never_searches: true, ..HomingDeviation::default() };
+    let mut bench = Bench::booted(Epos4Config { homing, ..config() });
+    bench.write("986000", 34, 1);
+    bench.enable(6);
+    let before = bench.read("646000");
+    bench.write("406000", 0x1F, 2);
+    bench.run(1_000);
+    assert_eq!(homing_bits(&mut bench), 0x0400);
+    assert!((bench.read("646000") - before).abs() <= 1);
+}
+
+#[test]
+fn a_counter_may_show_later_than_the_success() {
+    let homing = HomingDeviation { counter_late: Duration::from_millis(30), ..HomingDeviation::default() };
+    let mut bench = Bench::booted(Epos4Config { homing, ..config() });
+    bench.write("986000", 37, 1);
+    bench.write("B03000", -1234, 4);
+    bench.enable(6);
+    bench.write("406000", 0x1F, 2);
+    assert_eq!(homing_bits(&mut bench), 0x9400);
+    assert!(bench.read("646000").abs() <= 1);
+    bench.run(30);
+    assert!((bench.read("646000") + 1234).abs() <= 1);
+}
+
+#[test]
 fn homing_in_place_moves_nothing() {
     let mut bench = Bench::booted(config());
     bench.write("986000", 37, 1);

@@ -26,6 +26,7 @@ fn a_key_without_effect_on_its_family_is_refused() {
         (IRB6, homing, "direction = \"negative\"", "homing.direction"),
         (IRB6, homing, "reverse_at_limit = true", "homing.reverse_at_limit"),
         (IRB6, homing, "reverse_at_limit = false", "homing.reverse_at_limit"),
+        (SERIAL, homing, "start_timeout_ms = 500", "homing.start_timeout_ms"),
         (IRB6, None, "emulator = { address = 1 }", "emulator.address"),
         (IRB6, None, "emulator = { protocol = \"nfv2\" }", "emulator.protocol"),
         (SERIAL, None, "emulator = { vendor = 1 }", "emulator.vendor"),
@@ -49,6 +50,7 @@ fn a_key_without_effect_on_its_family_is_refused() {
         (SERIAL, None, "emulator = { address = 1 }"),
         (SERIAL, None, "emulator = { protocol = \"hi-moxa\" }"),
         (HI_MOXA, None, "emulator = { protocol = \"nfv2\", address = 1 }"),
+        (IRB6, homing, "start_timeout_ms = 500"),
         (IRB6, None, "emulator = { vendor = 1, revision = 1, rated_torque = 1.0 }"),
     ];
     for (text, table, given) in taken {

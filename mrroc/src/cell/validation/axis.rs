@@ -79,7 +79,7 @@ pub(super) fn check(path: &Path, period: Duration, axis: &Axis, place: Place<'_>
         Place::Serial(serial) => check_controller(&family, period, axis.axis_controller(), serial, axis),
     }?;
     check_emulator(&path.then("emulator"), axis, place, model, home)?;
-    homing::check(&path.then("homing"), axis, place, model, home)
+    homing::check(&path.then("homing"), axis, place, period, model, home)
 }
 
 /// Positions lie within those of the model and fit a 32-bit counter.

@@ -1,5 +1,7 @@
 //! Checks of the homing of an axis: the method must find home, and the search must end.
 
+use std::time::Duration;
+
 use super::{Checked, axis::Place, no_effect, refused, within};
 use crate::cell::drives::FARTHEST_INDEX;
 use crate::cell::{Axis, Path, Range};
@@ -30,6 +32,12 @@ const ENDLESS_SEARCH: (f64, f64) = (100.0, 120.0);
 /// Longest time from the home switch to the index pulse, s, in a search by the host.
 const ZEROING: f64 = 300.0;
 
+/// Least time for a drive to begin its search, periods. A controlword takes effect within four.
+const START_PERIODS: f64 = 10.0;
+
+/// Longest time for a drive to begin its search, ms.
+const LONGEST_START: f64 = 60_000.0;
+
 /// Longest time until a search reaches its velocity, s.
 const RAMP: f64 = 10.0;
 
@@ -45,19 +53,25 @@ pub(super) fn slowest(limits: Limits) -> f64 {
 
 /// Checks the homing of an axis. `model` holds the limits of the motor from the model, and `home` is the home
 /// position, rad.
-pub(super) fn check(path: &Path, axis: &Axis, place: Place<'_>, model: Limits, home: f64) -> Checked {
+pub(super) fn check(path: &Path, axis: &Axis, place: Place<'_>, period: Duration, model: Limits, home: f64) -> Checked {
     let homing = axis.homing;
     match place {
         Place::Bus(_) => {
             let because = "on a CAN bus: the drive's homing method decides";
             no_effect(path, "direction", homing.direction.is_some(), because)?;
             no_effect(path, "reverse_at_limit", homing.reverse_at_limit.is_some(), because)?;
+            let least = START_PERIODS * period.as_secs_f64() * 1e3;
+            let start = homing.start_timeout().as_secs_f64() * 1e3;
+            within(path, "start_timeout_ms", start, Range::new(least, LONGEST_START, "ms, at least 10 periods"))?;
             check_method(path, axis, model, home)?;
         }
         Place::Serial(_) if homing.method.is_some() => {
             return refused(path, "method", "is a drive's: an axis on a serial line is homed by the host");
         }
-        Place::Serial(_) => {}
+        Place::Serial(_) => {
+            let because = "on a serial line: the host searches";
+            no_effect(path, "start_timeout_ms", homing.start_timeout_ms.is_some(), because)?;
+        }
     }
     let most = axis.max_velocity;
     let of = "rad/s of the motor: from crossing the travel in 20 min to max_velocity";

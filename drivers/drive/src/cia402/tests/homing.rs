@@ -27,6 +27,7 @@ fn homing_runs_in_its_own_mode_and_comes_back_where_the_axis_stands() {
         (0x0737, 1_000, HOME, "202#1F00E8030000", "", Homing::InProgress, false),
         // The drive searches and finally sets its counter to zero.
         (0x0237, 1_002, HOME, "202#1F00EA030000", "", Homing::InProgress, false),
+        (0x0237, 1_004, HOME, "202#1F00EC030000", "", Homing::InProgress, false),
         (0x1237, 0, HOME, "202#1F0000000000", "", Homing::InProgress, false),
         (0x9637, 0, HOME, "202#1F0000000000", "", Homing::Attained, false),
         // Return to CSP with the present position as target.
@@ -53,6 +54,7 @@ fn a_set_point_is_not_followed_before_the_cyclic_mode_shows() {
     cycle(&mut bench, 0x0737, 1_000, HOME);
     cycle(&mut bench, 0x0737, 1_000, HOME);
     cycle(&mut bench, 0x0237, 1_000, HOME);
+    cycle(&mut bench, 0x0237, 1_000, HOME);
     cycle(&mut bench, 0x9637, 0, HOME);
     let command = &[follow(50.0)];
     assert_eq!(cycle(&mut bench, 0x9637, 0, command)[0], "202#0F0000000000");
@@ -66,7 +68,7 @@ fn a_set_point_is_not_followed_before_the_cyclic_mode_shows() {
 fn a_failed_search_says_so_and_may_be_tried_again() {
     let mut bench = Bench::up(&[2]);
     bench.enable();
-    for statusword in [0x0737, 0x0737, 0x0737, 0x0237, 0x2637, 0x2637] {
+    for statusword in [0x0737, 0x0737, 0x0737, 0x0237, 0x0237, 0x2637, 0x2637] {
         cycle(&mut bench, statusword, 1_000, HOME);
     }
     assert_eq!(bench.states[0].homing, Homing::Failed);
@@ -77,6 +79,50 @@ fn a_failed_search_says_so_and_may_be_tried_again() {
     }
     assert_eq!((bench.states[0].homing, bench.states[0].following), (Homing::NotHomed, true));
     assert_eq!(cycle(&mut bench, 0x0737, 1_000, HOME)[1], "602#2F60600006000000");
+}
+
+/// Statuswords and counters of a drive while homing is commanded; the homing state at the end, and the fault.
+fn home(answers: &[(usize, u16, i32)]) -> (Homing, Option<Fault>) {
+    let mut axis = axis_config(2);
+    (axis.homing.method, axis.following_error) = (34, 0.1);
+    let mut bench = Bench::up_with(group_config(), &[axis]);
+    bench.enable();
+    for _ in 0..3 {
+        cycle(&mut bench, 0x0737, 1_000, HOME);
+    }
+    for &(count, statusword, position) in answers {
+        for _ in 0..count {
+            cycle(&mut bench, statusword, position, HOME);
+        }
+    }
+    (bench.states[0].homing, bench.states[0].fault)
+}
+
+#[test]
+fn an_old_result_is_no_end_of_the_search() {
+    // The result of an earlier homing for 20 ms, and for a second.
+    for old in [0x9637, 0x1637, 0x2637] {
+        assert_eq!(home(&[(10, old, 1_000)]), (Homing::InProgress, None), "{old:#06x}");
+        let searched = [(10, old, 1_000), (20, 0x0237, 1_010), (1, 0x9637, 0)];
+        assert_eq!(home(&searched), (Homing::Attained, None), "{old:#06x}");
+        let (homing, fault) = home(&[(502, old, 1_000)]);
+        assert_eq!(homing, Homing::Failed, "{old:#06x}");
+        assert!(matches!(fault, Some(Fault::NoSearch { node: 2, .. })), "{fault:?}");
+    }
+    let fault = Fault::NoSearch { node: 2, waited: Duration::from_millis(1_002) };
+    assert_eq!(fault.to_string(), "node 2: homing did not begin, no search was seen for 1.0s");
+}
+
+#[test]
+fn a_counter_far_from_zero_after_the_search_is_a_fault() {
+    // 0.1 rad of following error, 0.011 rad of braking, and two increments of rounding.
+    let fault = Fault::NotAtZero { node: 2, counter: 38, most: 37 };
+    assert_eq!(home(&[(9, 0x0237, 1_000), (9, 0x9637, 37)]), (Homing::Attained, None));
+    assert_eq!(home(&[(9, 0x0237, 1_000), (5, 0x9637, 38)]), (Homing::Failed, Some(fault)));
+    // A counter that the drive sets later than it shows success.
+    assert_eq!(home(&[(9, 0x0237, 1_000), (3, 0x9637, 1_000), (1, 0x9637, 0)]), (Homing::Attained, None));
+    let text = "node 2: homing ended at a count of 38, more than 37 from zero";
+    assert_eq!(fault.to_string(), text);
 }
 
 #[test]
@@ -165,7 +211,7 @@ fn a_drive_that_refuses_the_mode_or_does_not_answer_is_faulted() {
 fn a_drive_that_cannot_come_back_is_asked_again_after_the_reset() {
     let mut bench = Bench::up(&[2]);
     bench.enable();
-    for statusword in [0x0737, 0x0737, 0x0737, 0x0237, 0x9637] {
+    for statusword in [0x0737, 0x0737, 0x0737, 0x0237, 0x0237, 0x9637] {
         cycle(&mut bench, statusword, 0, HOME);
     }
     bench.stores[0].aborts.insert((0x6060, 0), 0x0800_0022);
@@ -217,7 +263,7 @@ fn drives_that_follow_velocity_or_torque_home_as_well() {
     for (mode, told) in [(CyclicMode::Csv, "09"), (CyclicMode::Cst, "0A")] {
         let mut bench = Bench::up_with(group_config(), &[AxisConfig { mode, ..axis_config(2) }]);
         bench.enable();
-        for statusword in [0x0737, 0x0737, 0x0737, 0x0237, 0x9637] {
+        for statusword in [0x0737, 0x0737, 0x0737, 0x0237, 0x0237, 0x9637] {
             cycle(&mut bench, statusword, 0, HOME);
         }
         assert_eq!(bench.states[0].homing, Homing::Attained);
