@@ -36,8 +36,10 @@ impl Default for LawParameters {
 /// of the next plan's start. If the law still moves the effector at the end of a motion, the effector brakes to a stand
 /// within its acceleration limits. A stop brakes from the last set-points sent, and ends the law.
 ///
-/// A speed override or a pause slows the interpolated path, and not the law. In a cycle that repeats its set-points
-/// because a bus refused the last batch, the law does not run and the displacement stays.
+/// A speed override or a pause slows the interpolated path. The law runs in each cycle, and slows its own motion by
+/// [`LawInput::rate`]: a motion that a task has programmed must stop in a pause, and a motion that yields to a force must
+/// not. In a cycle that repeats its set-points because a bus refused the last batch, the law does not run and the
+/// displacement stays.
 ///
 /// # Bounds
 /// A displacement beyond its [`LawBound`] is a fault. The servo does not clamp: a limit per motor would change the
@@ -70,7 +72,8 @@ pub struct LawInput<'a> {
     pub period: f64,
     /// Periods since the last cycle: 1 plus the number of missed deadlines.
     pub periods: u32,
-    /// Rate of motion time: 1, or less by a [`SpeedOverride`](crate::SpeedOverride), and 0 in a pause.
+    /// Rate of motion time: 1, or less by a [`SpeedOverride`](crate::SpeedOverride), and 0 in a pause. Changes within
+    /// the acceleration limits of all axes of the cell.
     pub rate: f64,
     /// Number of the macrostep.
     pub macrostep: u64,

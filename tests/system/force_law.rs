@@ -1,10 +1,11 @@
 //! Force control in the servo cycle: from the cell file to the figures of the examples, in lockstep.
 
 use std::fs;
+use std::time::Duration;
 
 use ::mrroc::bench::BenchKind;
 use ::mrroc::cell::{Cell, CellFile};
-use ::mrroc::prelude::{Compliance, Direction, ForceTask, Generator, Guard, Outcome, RunOutcome, Wait};
+use ::mrroc::prelude::{Compliance, Direction, ForceTask, Generator, Guard, Outcome, RunOutcome, Wait, join};
 use ::mrroc::report::RunReport;
 use ::mrroc::tasks;
 use controller::robot::Joints;
@@ -93,7 +94,7 @@ async fn press(cell: &mut tasks::Cell, task: ForceTask) -> Outcome {
     });
     irb6.execute(irb6.motions().joints(0.8, &[[column, -1.571, 0.0, std::f64::consts::FRAC_PI_2, 0.0]])?).await?;
     wrist.zero().await?;
-    let outcome = irb6.execute(Wait { duration: std::time::Duration::from_secs(10) }.under(task)).await;
+    let outcome = irb6.execute(Wait { duration: Duration::from_secs(10) }.under(task)).await;
     cell.figure("touched", f64::from(u8::from(irb6.has_touched())));
     outcome?;
     // The next motion begins where the law has moved the arm.
@@ -150,7 +151,7 @@ fn a_law_whose_sensor_was_not_zeroed_stops_before_it_moves_the_arm() {
         let mut irb6 = cell.robot("irb6")?;
         irb6.enable().await?;
         irb6.home().await?;
-        irb6.execute(Wait { duration: std::time::Duration::from_secs(1) }.under(pressing(5.0, None))).await
+        irb6.execute(Wait { duration: Duration::from_secs(1) }.under(pressing(5.0, None))).await
     };
     let report = ::mrroc::run(&cell("irb6-force", |_| {}), BenchKind::Lockstep, task).unwrap();
     let faults: Vec<_> = report.faults.iter().map(ToString::to_string).collect();
@@ -164,6 +165,95 @@ fn a_generator_that_sends_a_law_to_a_robot_without_one_is_refused_before_motion(
     let file = cell("irb6-force", |cell| cell.robot[0].force_law = None);
     let error = ::mrroc::run(&file, BenchKind::Lockstep, task).unwrap_err().to_string();
     assert!(error.contains("robot irb6: instruction") && error.contains("law"), "{error}");
+}
+
+/// Moves the tool down beside the blocks by a force law: for one second of motion time, and again with a pause.
+async fn approach_in_air(cell: &mut tasks::Cell, direction: Direction, fraction: f64) -> Outcome {
+    let mut irb6 = cell.robot("irb6")?;
+    let wrist = cell.force_sensor("wrist")?;
+    let observer = irb6.observer();
+    irb6.enable().await?;
+    irb6.home().await?;
+    irb6.execute(irb6.motions().joints(0.8, &[[1.3, -1.571, 0.0, std::f64::consts::FRAC_PI_2, 0.0]])?).await?;
+    wrist.zero().await?;
+    cell.speed().set(fraction).unwrap();
+    cell.sleep(Duration::from_secs(1)).await;
+    let mut task = ForceTask::default();
+    task.directions[2] = direction;
+    let approach = Wait { duration: Duration::from_secs(1) }.under(task);
+    let begin = observer.image()?.commanded.pose.translation.z;
+    irb6.execute(approach).await?;
+    cell.figure("way_mm", 1e3 * (begin - observer.image()?.commanded.pose.translation.z));
+    let pause = async {
+        cell.sleep(Duration::from_millis(300)).await;
+        cell.speed().pause();
+        cell.sleep(Duration::from_secs(2)).await;
+        let begin = observer.image()?.commanded.pose.translation.z;
+        cell.sleep(Duration::from_secs(1)).await;
+        cell.figure("way_in_pause_mm", 1e3 * (begin - observer.image()?.commanded.pose.translation.z));
+        cell.speed().resume();
+        Outcome::Ok(())
+    };
+    join(irb6.execute(approach), pause).await?;
+    irb6.disable().await
+}
+
+#[test]
+fn a_speed_override_and_a_pause_slow_the_approach_of_every_force_law() {
+    let compliance = Compliance::LINEAR;
+    let directions = [
+        Direction::Unguarded { velocity: 0.02 },
+        Direction::Guarded { velocity: 0.02, compliance },
+        Direction::Contact { force: 4.0, compliance },
+    ];
+    for direction in directions {
+        for fraction in [0.25, 1.0] {
+            let task = async move |cell: &mut tasks::Cell| approach_in_air(cell, direction, fraction).await;
+            let report = ::mrroc::run(&cell("irb6-force", |_| {}), BenchKind::Lockstep, task).unwrap();
+            completed(&report);
+            let [way, paused] = ["way_mm", "way_in_pause_mm"].map(|name| report.figures[name]);
+            println!("{direction:?} at {fraction}: {way:.3} mm, {paused:.5} mm in a pause");
+            // 20 mm in 1 s of motion time, less the way lost while the virtual inertia accelerates for 0.1 s.
+            let lost = if matches!(direction, Direction::Unguarded { .. }) { 0.2 } else { 2.2 * fraction };
+            assert!((20.0 - lost..=20.2).contains(&way), "{direction:?} at {fraction}: {way} mm");
+            assert!(paused.abs() < 1e-3, "{direction:?} at {fraction}: {paused} mm in a pause");
+        }
+    }
+}
+
+#[test]
+fn a_pause_keeps_the_force_of_a_contact() {
+    let task = async |cell: &mut tasks::Cell| {
+        let mut irb6 = cell.robot("irb6")?;
+        let wrist = cell.force_sensor("wrist")?;
+        irb6.enable().await?;
+        irb6.home().await?;
+        let column = cell.file().cell.scene.as_ref().map_or(0.0, |scene| {
+            let [x, y, _] = scene.block[2].centre;
+            y.atan2(x)
+        });
+        irb6.execute(irb6.motions().joints(0.8, &[[column, -1.571, 0.0, std::f64::consts::FRAC_PI_2, 0.0]])?).await?;
+        wrist.zero().await?;
+        let pause = async {
+            // The force has settled.
+            cell.sleep(Duration::from_secs(4)).await;
+            cell.figure("before_n", wrist.in_tool()?.force.z.abs());
+            cell.speed().pause();
+            cell.sleep(Duration::from_secs(4)).await;
+            cell.figure("paused_n", wrist.in_tool()?.force.z.abs());
+            cell.speed().resume();
+            Outcome::Ok(())
+        };
+        let push = Wait { duration: Duration::from_secs(6) }.under(pressing(5.0, None));
+        join(irb6.execute(push), pause).await?;
+        irb6.disable().await
+    };
+    let report = ::mrroc::run(&cell("irb6-force", |_| {}), BenchKind::Lockstep, task).unwrap();
+    completed(&report);
+    // Two counts of the sensor.
+    for name in ["before_n", "paused_n"] {
+        assert!((report.figures[name] - 5.0).abs() < 0.3, "{name}: {:?}", report.figures);
+    }
 }
 
 #[test]

@@ -3,6 +3,8 @@
 use nalgebra::{UnitQuaternion, Vector3};
 use servo::{LAW_PARAMETERS, LawFault, LawParameters};
 
+use super::rate;
+
 /// Parameters of one direction.
 const PER_DIRECTION: usize = 5;
 
@@ -30,6 +32,10 @@ impl Compliance {
 }
 
 /// Behaviour of one direction of the task frame. Velocities are in m/s or rad/s, forces in N or N·m.
+///
+/// A speed override and a pause slow the motion of `Unguarded`, `Guarded` and `Contact` in free space
+/// ([`velocity_at_rate`](super::velocity_at_rate)). They slow no motion by which a direction yields, and do not change
+/// the force in contact.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Direction {
     /// The direction moves at the velocity, whatever the force is.
@@ -87,10 +93,13 @@ pub(super) struct Gains {
 }
 
 impl Gains {
-    /// Velocity after a period of `dt` seconds, from the velocity of the last period, the displacement and the force.
-    pub(super) fn velocity(&self, last: f64, displacement: f64, force: f64, dt: f64) -> f64 {
+    /// Velocity after a period of `dt` seconds, from the velocity of the last period, the displacement and the force, at
+    /// a rate of motion time.
+    pub(super) fn velocity(&self, last: f64, displacement: f64, force: f64, rate: f64, dt: f64) -> f64 {
         let Compliance { inertia, reciprocal_damping: beta } = self.compliance;
         let drive = beta * (self.force - force - self.stiffness * displacement) + self.velocity;
+        let approach = beta * self.force + self.velocity;
+        let drive = drive - rate::withheld(approach, drive - approach, -beta * force, rate);
         (drive * dt + beta * inertia * last) / (dt + beta * inertia + beta * self.stiffness * dt * dt)
     }
 }

@@ -19,6 +19,12 @@
 //! A direction without compliance moves at v_d, whatever the force is. The planned path of the macrosteps adds its own
 //! motion in all directions, so a path has no motion in a direction of contact.
 //!
+//! # Speed override and pause
+//! At a rate r of motion time below 1, the velocity β F_d + v_d of the approach is at most r times its value while F is
+//! less than a quarter of F_d + v_d / β, the force in which the approach ends. From half of this force on, the law is the
+//! same at every rate, except that a pull along the approach does not speed up the approach. [`velocity_at_rate`] is
+//! this rule, for laws of other crates too.
+//!
 //! # Stability
 //! For contact with an environment of stiffness k, the damping ratio is 1 / (2 β √(M k)): 1 at 500 N/m with the default
 //! compliance. Delays limit the stiffness. With a delay of one sample and a lag of the position loops of 4 ms, a step of
@@ -29,6 +35,7 @@
 
 mod directions;
 mod position_force;
+mod rate;
 mod rehearsed;
 mod resolve;
 
@@ -37,4 +44,5 @@ mod tests;
 
 pub use directions::{Compliance, Direction, ForceTask, Guard, TaskAxes};
 pub use position_force::{ForceLimits, PositionForce, PositionForceConfig, PositionForceError};
+pub use rate::velocity_at_rate;
 pub use rehearsed::RehearsedLaw;

@@ -28,6 +28,10 @@ const LACKING: f64 = 0.5;
 /// Motors of the arm accelerate and move within the limits of the law. Beyond them, the change of the whole velocity is
 /// reduced by one factor, so that the direction of the change stays.
 ///
+/// At a rate of motion time below 1, the approach of a direction in free space is slower by this factor, and a pause
+/// stops the approach. Yielding and the force in contact do not depend on the rate
+/// ([`velocity_at_rate`](super::velocity_at_rate)).
+///
 /// The law ends with a fault if the sensor has a fault or no new sample, if a force exceeds its limit, and if the arm
 /// cannot make the motion.
 #[derive(Debug)]
@@ -151,7 +155,7 @@ impl PositionForce {
         }
 
         let wanted = Vector6::from_fn(|i, _| {
-            behaviour.gains[i].velocity(self.velocity[i], self.displacement[i], force[i], input.period)
+            behaviour.gains[i].velocity(self.velocity[i], self.displacement[i], force[i], input.rate, input.period)
         });
         let jacobian = robot.jacobian(&joints).map_err(refused)?;
         let lever = base_from_tool.translation.vector - base_from_flange.translation.vector;

@@ -1,5 +1,6 @@
 //! Tests of the laws of an arm against springs, with lag of the position loops and delay of the sensor.
 
+mod rate;
 mod refusals;
 mod spring;
 
@@ -41,6 +42,8 @@ struct Rig {
     delay: usize,
     cycle: u32,
     began: bool,
+    /// Rate of motion time.
+    rate: f64,
 }
 
 fn flange_from_sensor() -> Pose {
@@ -91,6 +94,7 @@ impl Rig {
             delay,
             cycle: 0,
             began: false,
+            rate: 1.0,
         }
     }
 
@@ -129,7 +133,7 @@ impl Rig {
             now: self.now(),
             period: dt,
             periods: 1,
-            rate: 1.0,
+            rate: self.rate,
             macrostep: 1,
             axes,
             trail: &Trail::default(),
@@ -154,7 +158,7 @@ impl Rig {
 
     /// One cycle. Returns the output of the law if that is an end.
     fn cycle(&mut self, task: &ForceTask, environment: &dyn Fn(&Pose) -> Vector3<f64>) -> Option<LawOutput> {
-        self.path.iter_mut().zip(self.path_velocity).for_each(|(at, velocity)| *at += velocity * T);
+        self.path.iter_mut().zip(self.path_velocity).for_each(|(at, velocity)| *at += self.rate * velocity * T);
         self.sense();
         match self.shift(task, T) {
             LawOutput::Displacement(displacement) => self.displacement = displacement,

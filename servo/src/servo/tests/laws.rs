@@ -321,6 +321,44 @@ fn a_pause_stops_the_path_and_not_the_law() {
     keeps_limits(&rig.positions(0)).unwrap();
 }
 
+/// A law that moves at 0.8 rad/s times the rate of motion time.
+struct Paced(f64);
+
+impl CycleLaw for Paced {
+    fn check(&self, _: &LawParameters) -> Result<(), LawFault> {
+        Ok(())
+    }
+    fn begin(&mut self, _: &LawInput<'_>, _: &LawParameters) {
+        self.0 = 0.0;
+    }
+    fn shift(&mut self, input: &LawInput<'_>, _: &LawParameters) -> LawOutput {
+        self.0 = (self.0 + 10.0 * DT).min(0.8 * input.rate);
+        all(input.axes[0].displacement + self.0 * DT)
+    }
+}
+
+#[test]
+fn a_law_that_reads_the_rate_is_slowed_like_the_path_and_stands_in_a_pause() {
+    let displaced = |override_of: fn(&Servo)| {
+        let mut rig = rig(1, Box::new(Paced(0.0)));
+        for macrostep in constant_speed(60) {
+            rig.order(Order::Move(with_law(macrostep, 0.0)));
+        }
+        override_of(&rig.servo);
+        rig.run(2000);
+        let before = rig.link.latest.read();
+        rig.run(100);
+        let after = rig.link.latest.read();
+        assert_eq!((rig.phase(), rig.cause()), (Phase::Moving, None), "rate {}", after.rate);
+        keeps_limits(&rig.positions(0)).unwrap();
+        (after.rate, after.displacement[0] - before.displacement[0])
+    };
+    let slow = |servo: &Servo| servo.speed_override().set(0.02).unwrap();
+    let (rate, way) = displaced(slow);
+    assert!(rate == 0.02 && (way - 0.02 * 0.08).abs() < 1e-9, "0.016 rad/s for 100 cycles: {way}");
+    assert_eq!(displaced(|servo| servo.speed_override().pause()), (0.0, 0.0));
+}
+
 #[test]
 fn a_stop_under_a_law_brakes_from_the_last_set_points_and_ends_the_law() {
     let (law, seen) = Scripted::new(drift);
