@@ -4,6 +4,7 @@ mod host_homing;
 mod loop_ranges;
 mod position_loop;
 pub(crate) mod refusal;
+mod stability;
 
 use std::time::Duration;
 
@@ -13,6 +14,7 @@ pub use host_homing::{Direction, HomingLeg, HostHoming};
 pub use loop_ranges::LoopBounds;
 pub use position_loop::{FeedForward, HostLoop, Law, Output, PositionLoop};
 pub use refusal::{Figure, KeyError, KeyProblem, Range};
+pub use stability::LoopPlant;
 
 use crate::MAX_AXES;
 use refusal::{first_wrong, is_positive};

@@ -53,7 +53,7 @@ pub use ::drive::Switches;
 pub use brake::{Braking, StraightStop};
 pub use config::{
     Direction, EffectorConfig, FeedForward, Figure, FrozenWatch, HomingLeg, HostHoming, HostLoop, KeyError, KeyProblem,
-    Law, LoopBounds, MAX_EFFECTORS, Output, PositionLoop, Range, ServoAxisConfig, ServoConfig, ServoError,
+    Law, LoopBounds, LoopPlant, MAX_EFFECTORS, Output, PositionLoop, Range, ServoAxisConfig, ServoConfig, ServoError,
 };
 pub use excitation::{Excitation, ExcitationError, most as greatest_excitation};
 pub use histogram::Histogram;

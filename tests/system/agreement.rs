@@ -54,6 +54,8 @@ const REFUSED: &[Case] = &[
     ("irb6-serial", "following_error = 2.0", "following_error = 1e-9", "axis[0].following_error"),
     ("irb6-serial", "torque_constant = 0.105", "torque_constant = 1e300", "controller.torque_constant"),
     ("irb6-serial", "position_gain = 25.0", "position_gain = 1e300", "cascade.position_gain"),
+    ("irb6-serial", "velocity_gain = 0.043", "velocity_gain = 0.215", "cascade.velocity_gain"),
+    ("irb6-serial", "integral_rate = 10.0", "integral_rate = 500.0", "cascade.integral_rate"),
     ("irb6-serial", "line = \"/dev/ttyMI8\"", "line = \"\"", "controller.line"),
     ("irb6-touch", "bus = \"arm\"", "bus = \"leg\"", "io[0].bus"),
     ("irb6-touch", "node = 40", "node = 3", "io[0].node"),
@@ -61,6 +63,7 @@ const REFUSED: &[Case] = &[
     ("irb6-touch", "line = 3", "line = 64", "io[0].input[1].line"),
     ("irb6-touch", "inhibit_us = 2000", "inhibit_us = 150", "io[0].inhibit_us"),
     ("rnt", "position_gain = 50.0", "position_gain = 1e300", "proportional.position_gain"),
+    ("rnt", "position_gain = 50.0", "position_gain = 200.0", "proportional.position_gain"),
     (
         "polycrank",
         "interface = \"can1\"",
@@ -85,6 +88,22 @@ fn what_a_run_would_refuse_a_check_refuses_with_file_line_and_key() {
         assert_eq!(check.stderr, run.stderr, "{bad}");
         let emulate = mrroc(["emulate".as_ref(), cell.as_os_str()]);
         assert_eq!(check.stderr, emulate.stderr, "{bad}");
+    }
+}
+
+#[test]
+fn a_period_too_long_for_a_loop_of_the_host_is_refused_at_its_gain() {
+    let directory = Directory::new();
+    for (example, period, key) in [
+        ("irb6-serial", "6000", "controller.loop.law.cascade.velocity_gain"),
+        ("irb6-hi-moxa", "10000", "controller.loop.law.cascade.velocity_gain"),
+        ("rnt", "13000", "drive.loop.law.proportional.position_gain"),
+    ] {
+        let text = text(example).replacen("period_us = 2000", &format!("period_us = {period}"), 1);
+        let cell = directory.write("cell.toml", &text);
+        let said = format!("axis[0].{key}: is ");
+        refused(&check(&cell), &[&said, "gain margin of 2 at this period and dead time"]);
+        assert_eq!(check(&cell).stderr, run(&cell).stderr);
     }
 }
 

@@ -12,7 +12,8 @@ use crate::config::refusal::{first_wrong, is_not_negative, is_positive};
 #[cfg_attr(feature = "schema", schemars(rename = "Proportional"))]
 pub struct ProportionalConfig {
     /// Velocity per position error, 1/s: about the crossover, rad/s. Some fifth of what the drive's velocity loop
-    /// passes, and less than 0.1 per delay from sample to effect (two and a half periods on CAN).
+    /// passes, and less than 0.1 per delay from sample to effect (two and a half periods on CAN). The loop is stable with
+    /// twice this gain.
     pub position_gain: f64,
     /// How fast the position error is integrated, 1/s; zero for not at all.
     #[serde(default)]
@@ -40,7 +41,8 @@ impl ProportionalConfig {
 pub struct CascadeConfig {
     /// Velocity asked for per position error, 1/s.
     pub position_gain: f64,
-    /// Output per velocity error, 1/(rad/s).
+    /// Output per velocity error, 1/(rad/s). The loop is stable with twice this gain, for a motor whose inertia and
+    /// damping are those of `feed_forward`.
     pub velocity_gain: f64,
     /// How fast the velocity error is integrated, 1/s; zero for not at all.
     pub integral_rate: f64,

@@ -91,6 +91,9 @@ use axis::SerialAxis;
 use bring_up::BringUp;
 use telegram::Dialect;
 
+/// [`DriveGroup::delay`] of axis controllers, cycles.
+pub const DELAY: usize = 2;
+
 /// Bytes of one reading: the whole buffer of the tty layer of Linux, so that no old bytes stay behind.
 const READING: usize = 4_096;
 
@@ -198,7 +201,7 @@ impl<L: Line> DriveGroup for AxisControllerGroup<L> {
     /// A drive samples when a telegram arrives, and then takes its set-point. The answer to the next telegram is the
     /// first to show the effect, and that answer is read a cycle later.
     fn delay(&self) -> usize {
-        2
+        DELAY
     }
 
     /// A call after success or after an error begins anew. The error of the first failing axis is returned.

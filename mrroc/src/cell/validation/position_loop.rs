@@ -2,11 +2,12 @@
 //!
 //! The bounds of the gains do not guarantee a good design; they exclude impossible sampled loops. No error is
 //! corrected faster than in one period. One encoder count does not saturate the output. A position error of
-//! `following_error` changes the output by at least a thousandth of its limit.
+//! `following_error` changes the output by at least a thousandth of its limit. With the dead time of the drives, the loop
+//! is stable with twice its gain.
 
 use std::time::Duration;
 
-use servo::{LoopBounds, Output};
+use servo::{LoopBounds, LoopPlant, Output};
 
 use super::{Checked, by_servo, refused, within};
 use crate::cell::{Axis, Drive, DriveControl, Law, Path, Range};
@@ -79,5 +80,8 @@ pub(super) fn check(path: &Path, period: Duration, axis: &Axis) -> Checked {
     };
     given.law.check(&bounds).map_err(|refusal| by_servo(&path.then("law"), refusal))?;
     let feed_forward = given.feed_forward.check(given.law.limit(), &bounds);
-    feed_forward.map_err(|refusal| by_servo(&path.then("feed_forward"), refusal))
+    feed_forward.map_err(|refusal| by_servo(&path.then("feed_forward"), refusal))?;
+    let delay = if axis.drive.is_some() { drive::bus::DELAY } else { drive::axis_controller::DELAY };
+    let plant = LoopPlant::new(period, delay, &given.law, &given.feed_forward);
+    plant.check(&given.law).map_err(|refusal| by_servo(&path.then("law"), refusal))
 }

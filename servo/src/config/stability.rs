@@ -1,0 +1,214 @@
+//! Stability of a position loop that the servo closes, with the dead time of its drives.
+//!
+//! The loop is linear: limits, dry friction and the resolution of the encoder are left out. The motor is a lag: the
+//! feed-forward of acceleration and velocity states its inertia and its damping. A loop is accepted if it is stable with
+//! [`MARGIN`] times its gain.
+//!
+//! Two loops are not checked: the incremental law, whose coefficients are no gains, and a cascade without a feed-forward of
+//! acceleration, whose motor has no known inertia.
+
+use std::time::Duration;
+
+use super::refusal::{KeyError, Range, within};
+use super::{FeedForward, Law};
+
+/// Gain margin of an accepted loop, 6 dB.
+const MARGIN: f64 = 2.0;
+/// Cycles in which the response to a displacement is computed. The first half is left out of the verdict.
+const CYCLES: usize = 2048;
+/// Longest dead time, cycles.
+const LONGEST: usize = 8;
+/// Bisections of the greatest gain that fits.
+const BISECTIONS: u32 = 20;
+
+/// What a loop acts on.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LoopPlant {
+    /// The servo period.
+    pub period: Duration,
+    /// Cycles from a set-point to the sample that shows its effect: [`DriveGroup::delay`](drive::DriveGroup::delay).
+    pub delay: usize,
+    /// Inertia, output per rad/s². For a drive that is sent velocities, the lag of its velocity loop, s.
+    pub inertia: f64,
+    /// Damping, output per rad/s. 1 for a drive that is sent velocities.
+    pub damping: f64,
+}
+
+/// A linear law: `gain * (s + rate * ∫s)` with `s = position * error + velocity * velocity error`.
+#[derive(Clone, Copy)]
+struct Linear {
+    gain: f64,
+    position: f64,
+    velocity: f64,
+    rate: f64,
+}
+
+impl LoopPlant {
+    /// The motor under a law with this feed-forward.
+    pub fn new(period: Duration, delay: usize, law: &Law, feed_forward: &FeedForward) -> Self {
+        let damping = if matches!(law, Law::Proportional(_)) { 1.0 } else { feed_forward.velocity };
+        Self { period, delay, inertia: feed_forward.acceleration, damping }
+    }
+
+    /// Refuses a law that is unstable with twice its gain, and names the greatest value of one key that fits. Keys are
+    /// those of a cell file below `law`. The law and its feed-forward have passed their other checks.
+    pub fn check(&self, law: &Law) -> Result<(), KeyError> {
+        match *law {
+            Law::Proportional(it) => {
+                let linear = Linear { gain: it.position_gain, position: 1.0, velocity: 0.0, rate: it.integral_rate };
+                self.judge(
+                    linear,
+                    [
+                        ("proportional.integral_rate", |it| &mut it.rate),
+                        ("proportional.position_gain", |it| &mut it.gain),
+                    ],
+                )
+            }
+            Law::Cascade(it) if self.inertia > 0.0 => {
+                let (gain, position, rate) = (it.velocity_gain, it.position_gain, it.integral_rate);
+                self.judge(
+                    Linear { gain, position, velocity: 1.0, rate },
+                    [
+                        ("cascade.integral_rate", |it: &mut Linear| &mut it.rate),
+                        ("cascade.position_gain", |it| &mut it.position),
+                        ("cascade.velocity_gain", |it| &mut it.gain),
+                    ],
+                )
+            }
+            Law::Incremental(_) | Law::Cascade(_) => Ok(()),
+        }
+    }
+
+    /// Refuses the first key without which the loop is stable. Each later key is judged without the earlier ones.
+    fn judge<const N: usize>(
+        &self,
+        mut law: Linear,
+        keys: [(&'static str, fn(&mut Linear) -> &mut f64); N],
+    ) -> Result<(), KeyError> {
+        if self.is_stable(law) {
+            return Ok(());
+        }
+        for (number, (key, field)) in keys.into_iter().enumerate() {
+            let given = *field(&mut law);
+            let with = |value| {
+                let mut law = law;
+                *field(&mut law) = value;
+                self.is_stable(law)
+            };
+            let is_last = number + 1 == N;
+            if with(0.0) || is_last {
+                let (mut fits, mut not) = (0.0, given);
+                for _ in 0..BISECTIONS {
+                    let middle = 0.5 * (fits + not);
+                    *if with(middle) { &mut fits } else { &mut not } = middle;
+                }
+                let of = "a loop with a gain margin of 2 at this period and dead time";
+                return within(key, given, Range::new(0.0, fits, of));
+            }
+            *field(&mut law) = 0.0;
+        }
+        Ok(())
+    }
+
+    /// Whether the response to a displacement fades with [`MARGIN`] times the gain.
+    fn is_stable(&self, law: Linear) -> bool {
+        let dt = self.period.as_secs_f64();
+        // Exact motion under a constant output. `kept` is the share of the velocity that is left after a period.
+        let fading = self.damping * dt / self.inertia;
+        let kept = (-fading).exp();
+        let mut outputs = [0.0; LONGEST];
+        let (mut position, mut velocity, mut last, mut integral) = (1.0, 0.0, 1.0, 0.0);
+        let mut greatest = [0.0_f64; 2];
+        for cycle in 0..CYCLES {
+            let s = -law.position * position - law.velocity * (position - last) / dt;
+            outputs.rotate_right(1);
+            outputs[0] = MARGIN * law.gain * (s + integral);
+            integral += law.rate * s * dt;
+            last = position;
+            let output = outputs[self.delay.clamp(1, LONGEST) - 1];
+            if self.inertia == 0.0 {
+                position += output / self.damping * dt;
+            } else if fading < 1e-6 {
+                let acceleration = output / self.inertia;
+                position += (velocity + 0.5 * acceleration * dt) * dt;
+                velocity += acceleration * dt;
+            } else {
+                let end = output / self.damping;
+                position += end * dt + (velocity - end) * (1.0 - kept) / fading * dt;
+                velocity = end + (velocity - end) * kept;
+            }
+            if !position.is_finite() {
+                return false;
+            }
+            if cycle >= CYCLES / 2 {
+                let half = usize::from(cycle >= CYCLES * 3 / 4);
+                greatest[half] = greatest[half].max(position.abs());
+            }
+        }
+        greatest[1] <= greatest[0]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{CascadeConfig, ProportionalConfig};
+
+    const FEED_FORWARD: FeedForward = FeedForward {
+        velocity: 0.001,
+        acceleration: 0.00043,
+        coulomb: 0.08,
+        stiction: None,
+        stribeck_velocity: None,
+        weight: None,
+        constant: 0.0,
+    };
+    const CASCADE: CascadeConfig =
+        CascadeConfig { position_gain: 25.0, velocity_gain: 0.043, integral_rate: 10.0, limit: 2.1 };
+
+    fn refused(law: Law, delay: usize, period_us: u64) -> Option<(&'static str, String)> {
+        let plant = LoopPlant::new(Duration::from_micros(period_us), delay, &law, &FEED_FORWARD);
+        plant.check(&law).err().map(|error| (error.key, error.reason.to_string()))
+    }
+
+    fn proportional(position_gain: f64, integral_rate: f64) -> Law {
+        Law::Proportional(ProportionalConfig { position_gain, integral_rate, limit: 240.0 })
+    }
+
+    #[test]
+    fn a_gain_beyond_half_the_limit_of_stability_is_refused_with_the_greatest_that_fits() {
+        let without_lag = |delay, gain: f64| {
+            let law = proportional(gain, 0.0);
+            let plant =
+                LoopPlant { inertia: 0.0, ..LoopPlant::new(Duration::from_millis(2), delay, &law, &FEED_FORWARD) };
+            plant.check(&law).is_ok()
+        };
+        // An integrator behind d periods is stable below 2 sin(π / (4 d + 2)) per period.
+        for delay in 1..5 {
+            let limit = 2.0 * (std::f64::consts::PI / (4.0 * (delay as f64 - 1.0) + 2.0)).sin() / 0.002;
+            assert!(without_lag(delay, 0.49 * limit) && !without_lag(delay, 0.51 * limit), "{delay}: {limit}");
+        }
+    }
+
+    #[test]
+    fn loops_that_run_well_are_accepted_and_loops_that_swing_are_refused_at_their_key() {
+        let key = |law, delay, period| refused(law, delay, period).map(|(key, _)| key);
+        for (law, delay, period, expected) in [
+            (Law::Cascade(CASCADE), 2, 2000, None),
+            (Law::Cascade(CASCADE), 2, 10_000, Some("cascade.velocity_gain")),
+            (Law::Cascade(CASCADE), 2, 6000, Some("cascade.velocity_gain")),
+            (Law::Cascade(CascadeConfig { velocity_gain: 0.215, ..CASCADE }), 2, 2000, Some("cascade.velocity_gain")),
+            (Law::Cascade(CascadeConfig { integral_rate: 500.0, ..CASCADE }), 2, 2000, Some("cascade.integral_rate")),
+            (Law::Cascade(CascadeConfig { position_gain: 300.0, ..CASCADE }), 2, 2000, Some("cascade.position_gain")),
+            (proportional(50.0, 0.0), 3, 2000, None),
+            (proportional(50.0, 0.0), 3, 13_000, Some("proportional.position_gain")),
+            (proportional(200.0, 0.0), 3, 2000, Some("proportional.position_gain")),
+            (proportional(50.0, 5.0), 3, 2000, None),
+            (proportional(50.0, 5000.0), 3, 2000, Some("proportional.integral_rate")),
+        ] {
+            assert_eq!(key(law, delay, period), expected, "{law:?}, {delay} cycles, {period} µs");
+        }
+        let said = refused(proportional(200.0, 0.0), 3, 2000).unwrap().1;
+        assert!(said.starts_with("is 200, must be between 0 and 15"), "{said}");
+    }
+}
