@@ -14,7 +14,7 @@ use super::{FeedForward, Law};
 
 /// Gain margin of an accepted loop, 6 dB.
 const MARGIN: f64 = 2.0;
-/// Cycles in which the response to a displacement is computed. The first half is left out of the verdict.
+/// Cycles in which the response to a displacement and a velocity is computed. The first half is left out of the verdict.
 const CYCLES: usize = 2048;
 /// Longest dead time, cycles.
 const LONGEST: usize = 8;
@@ -110,14 +110,14 @@ impl LoopPlant {
         Ok(())
     }
 
-    /// Whether the response to a displacement fades with [`MARGIN`] times the gain.
+    /// Whether the velocity after a displacement and a velocity fades with [`MARGIN`] times the gain.
     fn is_stable(&self, law: Linear) -> bool {
         let dt = self.period.as_secs_f64();
         // Exact motion under a constant output. `kept` is the share of the velocity that is left after a period.
         let fading = self.damping * dt / self.inertia;
         let kept = (-fading).exp();
         let mut outputs = [0.0; LONGEST];
-        let (mut position, mut velocity, mut last, mut integral) = (1.0, 0.0, 1.0, 0.0);
+        let (mut position, mut velocity, mut last, mut integral) = (1.0, 1.0, 1.0, 0.0);
         let mut greatest = [0.0_f64; 2];
         for cycle in 0..CYCLES {
             let s = -law.position * position - law.velocity * (position - last) / dt;
@@ -142,7 +142,7 @@ impl LoopPlant {
             }
             if cycle >= CYCLES / 2 {
                 let half = usize::from(cycle >= CYCLES * 3 / 4);
-                greatest[half] = greatest[half].max(position.abs());
+                greatest[half] = greatest[half].max((position - last).abs());
             }
         }
         greatest[1] <= greatest[0]
@@ -152,7 +152,7 @@ impl LoopPlant {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{CascadeConfig, ProportionalConfig};
+    use crate::regulator::{CascadeConfig, ProportionalConfig};
 
     const FEED_FORWARD: FeedForward = FeedForward {
         velocity: 0.001,
@@ -209,6 +209,6 @@ mod tests {
             assert_eq!(key(law, delay, period), expected, "{law:?}, {delay} cycles, {period} µs");
         }
         let said = refused(proportional(200.0, 0.0), 3, 2000).unwrap().1;
-        assert!(said.starts_with("is 200, must be between 0 and 15"), "{said}");
+        assert!(said.starts_with("is 200, must be between 0 and 14"), "{said}");
     }
 }

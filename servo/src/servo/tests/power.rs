@@ -31,7 +31,7 @@ fn a_group_that_is_up_is_called_until_the_others_are() {
     let mut now = Instant::ZERO;
     let mut polls = 0;
     while servo.bring_up(now).is_pending() {
-        now += scripted::PERIOD;
+        now += PERIOD;
         polls += 1;
     }
     assert_eq!(polls, 5);
