@@ -5,7 +5,7 @@ use std::io::{BufRead, Read, Result};
 /// Greatest length of a line, bytes.
 const LONGEST: usize = 1024;
 
-/// The lines of an input. Bytes that are no UTF-8 are replaced. A line that is too long is cut and ends with "…", which
+/// The lines of an input. Bytes that are no UTF-8 are replaced. A line that is too long is cut, and ends with "…", which
 /// no fault contains.
 pub(super) struct LiveLines<R> {
     input: R,

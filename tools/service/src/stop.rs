@@ -1,8 +1,8 @@
 //! `mrroc stop`: stops the controller of a cell that runs on this computer, in another process.
 //!
-//! The controller is the process that has claimed a CAN interface of the cell, or has locked one of its serial lines and has a
-//! thread of the library's name. It gets SIGTERM: its robots brake, and their drives go off (category 1). A process of another
-//! program that has locked a line gets no signal.
+//! The controller is the process that has claimed a CAN interface of the cell, or has locked one of its serial lines and
+//! has a thread of the library's name. It gets SIGTERM: its robots brake, and their drives go off (category 1). A process
+//! of another program that has locked a line gets no signal.
 
 use std::collections::BTreeSet;
 use std::fs;
