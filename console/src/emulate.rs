@@ -3,6 +3,8 @@
 
 #![expect(clippy::disallowed_methods, reason = "the rim: reads clocks and waits")]
 
+mod live_lines;
+
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -24,6 +26,8 @@ use mrroc::bench::{emulation, interfaces};
 use mrroc::cell::CellFile;
 use mrroc::scenario::{Scenario, ScenarioProbe, ScenarioRun};
 use mrroc::signals;
+
+use live_lines::LiveLines;
 
 /// Longest time between two checks for Ctrl-C.
 const LOOK: Duration = Duration::from_millis(50);
@@ -213,8 +217,12 @@ pub(crate) fn emulate(options: &Options) -> anyhow::Result<ExitCode> {
 fn standard_input() -> Receiver<String> {
     let (send, lines) = sync_channel(LIVE);
     std::thread::spawn(move || {
-        let mut ended = std::io::stdin().lines().map_while(Result::ok).map(|line| send.send(line).is_err());
-        ended.any(|gone| gone)
+        let mut lines = LiveLines::new(std::io::stdin().lock());
+        while let Ok(Some(line)) = lines.next_line() {
+            if send.send(line).is_err() {
+                return;
+            }
+        }
     });
     lines
 }

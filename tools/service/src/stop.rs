@@ -1,7 +1,8 @@
 //! `mrroc stop`: stops the controller of a cell that runs on this computer, in another process.
 //!
-//! The controller is the process that has claimed a CAN interface of the cell, or has locked one of its serial lines. It gets
-//! SIGTERM: its robots brake, and their drives go off (category 1).
+//! The controller is the process that has claimed a CAN interface of the cell, or has locked one of its serial lines and
+//! has a thread of the library's name. It gets SIGTERM: its robots brake, and their drives go off (category 1). A process
+//! of another program that has locked a line gets no signal.
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -15,7 +16,7 @@ use can::clock;
 use clap::Args;
 use mrroc::bench::Places;
 use mrroc::bench::interfaces::Interface;
-use mrroc::cell::CellFile;
+use mrroc::cell::{CellFile, printable};
 use nix::sys::signal::{Signal, kill};
 use nix::sys::stat::{major, minor};
 use nix::unistd::Pid;
@@ -24,6 +25,9 @@ use super::say;
 
 /// Time between two looks whether the controller has ended.
 const LOOK: Duration = Duration::from_millis(20);
+
+/// Threads of every controller: the servo, and the thread that takes signals from the beginning on.
+const THREADS: [&str; 2] = ["servo", "signals"];
 
 /// Options of `mrroc stop`.
 #[derive(Args)]
@@ -98,8 +102,28 @@ fn controllers(interfaces: &[Interface], ttys: &[PathBuf]) -> anyhow::Result<BTr
         }
     }
     let locks = fs::read_to_string("/proc/locks").context("/proc/locks")?;
-    found.extend(ttys.iter().filter_map(|tty| holder_of(&locks, tty)));
+    for tty in ttys {
+        let Some(process) = holder_of(&locks, tty) else {
+            continue;
+        };
+        if !is_controller(process) && is_running(process) {
+            let name = fs::read_to_string(format!("/proc/{process}/comm")).unwrap_or_default();
+            bail!(
+                "process {process} ({}) has locked {}, and is no controller of mrroc: end it by its own means",
+                printable(name.trim_end()),
+                tty.display()
+            );
+        }
+        found.insert(process);
+    }
     Ok(found)
+}
+
+/// Whether a process has a thread of a controller.
+fn is_controller(process: Pid) -> bool {
+    let tasks = fs::read_dir(format!("/proc/{process}/task")).into_iter().flatten().flatten();
+    let mut names = tasks.filter_map(|task| fs::read_to_string(task.path().join("comm")).ok());
+    names.any(|name| THREADS.contains(&name.trim_end()))
 }
 
 /// The process that has locked the file at `path`, by the kernel's list of locks.
@@ -131,5 +155,29 @@ mod tests {
         fs::remove_file(&path).unwrap();
         assert_eq!(held, Some(Pid::this()));
         assert_eq!(holder_of("1: FLOCK ADVISORY WRITE 1 00:00:1 0 EOF", Path::new("/nowhere")), None);
+    }
+
+    #[test]
+    fn a_controller_is_known_by_its_threads_and_another_process_is_refused() {
+        let path = std::env::temp_dir().join(format!("mrroc-foreign-{}", std::process::id()));
+        let file = fs::File::create_new(&path).unwrap();
+        file.lock().unwrap();
+        let ttys = [path.clone()];
+        let found = || controllers(&[], &ttys);
+        let refused = found().unwrap_err().to_string();
+        let ((end, ended), (begin, begun)) = (std::sync::mpsc::channel::<()>(), std::sync::mpsc::channel());
+        let body = move || {
+            begin.send(()).unwrap();
+            _ = ended.recv();
+        };
+        let servo = std::thread::Builder::new().name("servo".into()).spawn(body).unwrap();
+        begun.recv().unwrap();
+        let controls = found().unwrap();
+        drop(end);
+        servo.join().unwrap();
+        fs::remove_file(&path).unwrap();
+        assert!(refused.starts_with(&format!("process {} (", Pid::this())), "{refused}");
+        assert!(refused.contains("is no controller of mrroc"), "{refused}");
+        assert_eq!(controls, BTreeSet::from([Pid::this()]));
     }
 }
