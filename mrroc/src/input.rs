@@ -44,11 +44,16 @@ pub enum InputError {
 
 /// The bytes of the regular file at `path`, at most `limit`.
 pub fn read(path: &Path, limit: usize) -> Result<Vec<u8>, InputError> {
+    contents(open_regular(path)?, limit)
+}
+
+/// The regular file at `path`, for a reader that keeps a part of the file at a time.
+pub fn open_regular(path: &Path) -> Result<File, InputError> {
     let file = open(path, 0)?;
-    if let Some(kind) = irregular(&file.metadata()?) {
-        return Err(InputError::NotRegular(kind));
+    match irregular(&file.metadata()?) {
+        Some(kind) => Err(InputError::NotRegular(kind)),
+        None => Ok(file),
     }
-    contents(file, limit)
 }
 
 /// Opens a file for examination. The file that is examined is the one that is read, whatever the path leads to by then.

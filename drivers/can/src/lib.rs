@@ -29,6 +29,6 @@ pub use id::{ExtendedId, Id, StandardId};
 pub use instant::Instant;
 pub use interface::InterfaceName;
 pub use port::{ControllerState, Counters, Port, PortError, Received};
-pub use replay_port::ReplayPort;
+pub use replay_port::{ReplayFeed, ReplayPort};
 pub use tracer::{TraceEntry, TraceEvent, TraceReader, Traced, Tracer};
 pub use virtual_port::{VirtualPeer, VirtualPort, virtual_port};

@@ -1,9 +1,32 @@
 //! A port that repeats the results of a trace.
 
 use std::collections::VecDeque;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use crate::candump::Direction;
 use crate::{ControllerState, Counters, Frame, Instant, Port, PortError, Received, TraceEntry, TraceEvent, Traced};
+
+/// The entries that a replayed port has not repeated yet.
+#[derive(Default)]
+struct Trace {
+    received: VecDeque<TraceEntry>,
+    sent: VecDeque<TraceEntry>,
+    conditions: VecDeque<TraceEntry>,
+}
+
+impl Trace {
+    fn push(&mut self, entry: TraceEntry) {
+        match entry.event {
+            TraceEvent::Frame(Traced { direction: Direction::Received, .. })
+            | TraceEvent::Failed { direction: Direction::Received, .. } => self.received.push_back(entry),
+            TraceEvent::Refused { .. } | TraceEvent::Failed { direction: Direction::Sent, .. } => {
+                self.sent.push_back(entry);
+            }
+            TraceEvent::Frame(Traced { direction: Direction::Sent, .. }) => {}
+            TraceEvent::Condition { .. } => self.conditions.push_back(entry),
+        }
+    }
+}
 
 /// A port that repeats what a [`Tracer`](crate::Tracer) recorded.
 ///
@@ -11,54 +34,73 @@ use crate::{ControllerState, Counters, Frame, Instant, Port, PortError, Received
 /// and states of the CAN controller appear in the calls in which they were recorded. The port accepts all other frames
 /// for sending.
 pub struct ReplayPort {
-    received: VecDeque<TraceEntry>,
-    sent: VecDeque<TraceEntry>,
-    conditions: VecDeque<TraceEntry>,
+    trace: Arc<Mutex<Trace>>,
     counters: Counters,
     state: ControllerState,
+}
+
+/// The end of a [`ReplayPort`] that adds entries, for a trace that is longer than the memory.
+pub struct ReplayFeed(Arc<Mutex<Trace>>);
+
+impl ReplayFeed {
+    /// Adds an entry. The entries come in order of time, each before the call at its time.
+    pub fn push(&self, entry: TraceEntry) {
+        locked(&self.0).push(entry);
+    }
+
+    /// Number of entries that the port has not repeated yet.
+    pub fn unread(&self) -> usize {
+        let trace = locked(&self.0);
+        trace.received.len() + trace.sent.len() + trace.conditions.len()
+    }
 }
 
 impl ReplayPort {
     /// A port that repeats `entries`, in order of time.
     pub fn new(entries: impl IntoIterator<Item = TraceEntry>) -> Self {
-        let [mut received, mut sent, mut conditions] = [const { VecDeque::new() }; 3];
-        for entry in entries {
-            match entry.event {
-                TraceEvent::Frame(Traced { direction: Direction::Received, .. })
-                | TraceEvent::Failed { direction: Direction::Received, .. } => received.push_back(entry),
-                TraceEvent::Refused { .. } | TraceEvent::Failed { direction: Direction::Sent, .. } => {
-                    sent.push_back(entry);
-                }
-                TraceEvent::Frame(Traced { direction: Direction::Sent, .. }) => {}
-                TraceEvent::Condition { .. } => conditions.push_back(entry),
-            }
-        }
-        Self { received, sent, conditions, counters: Counters::default(), state: ControllerState::Active }
+        let (port, feed) = Self::fed();
+        entries.into_iter().for_each(|entry| feed.push(entry));
+        port
+    }
+
+    /// A port without entries, and the end that adds them.
+    pub fn fed() -> (Self, ReplayFeed) {
+        let trace = Arc::<Mutex<Trace>>::default();
+        let port = Self { trace: Arc::clone(&trace), counters: Counters::default(), state: ControllerState::Active };
+        (port, ReplayFeed(trace))
     }
 
     /// Takes the conditions that the recorded port showed by the end of this call.
     fn condition(&mut self, now: Instant, call: Direction) {
-        while let Some(&TraceEntry { now: recorded, event }) = self.conditions.front() {
+        let mut trace = locked(&self.trace);
+        while let Some(&TraceEntry { now: recorded, event }) = trace.conditions.front() {
             let TraceEvent::Condition { direction, state, dropped, errors } = event else { break };
             // A cycle receives before it sends, and gives the same time to both calls.
             if recorded > now || recorded == now && call == Direction::Received && direction == Direction::Sent {
                 break;
             }
             (self.state, self.counters.dropped, self.counters.errors) = (state, dropped, errors);
-            self.conditions.pop_front();
+            trace.conditions.pop_front();
         }
     }
 }
 
+/// The trace. A panic of another user of the trace leaves whole entries.
+fn locked(trace: &Mutex<Trace>) -> MutexGuard<'_, Trace> {
+    trace.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
 impl Port for ReplayPort {
     fn send(&mut self, now: Instant, frames: &[Frame]) -> Result<usize, PortError> {
-        while self.sent.front().is_some_and(|entry| entry.now < now) {
-            self.sent.pop_front();
+        let mut trace = locked(&self.trace);
+        while trace.sent.front().is_some_and(|entry| entry.now < now) {
+            trace.sent.pop_front();
         }
-        let outcome = self.sent.front().filter(|entry| entry.now == now).map(|entry| entry.event);
+        let outcome = trace.sent.front().filter(|entry| entry.now == now).map(|entry| entry.event);
         if outcome.is_some() {
-            self.sent.pop_front();
+            trace.sent.pop_front();
         }
+        drop(trace);
         let sent = match outcome {
             Some(TraceEvent::Failed { error, .. }) => Err(error),
             Some(TraceEvent::Refused { count }) => Ok(frames.len().saturating_sub(count as usize)),
@@ -74,8 +116,9 @@ impl Port for ReplayPort {
     fn receive(&mut self, now: Instant, into: &mut [Received]) -> Result<usize, PortError> {
         let mut count = 0;
         let mut failure = None;
+        let mut trace = locked(&self.trace);
         while count < into.len() {
-            let Some(entry) = self.received.front().filter(|entry| entry.now <= now) else { break };
+            let Some(entry) = trace.received.front().filter(|entry| entry.now <= now) else { break };
             match entry.event {
                 TraceEvent::Frame(Traced { at, frame, .. }) => {
                     into[count] = Received { frame, at };
@@ -86,11 +129,12 @@ impl Port for ReplayPort {
                 TraceEvent::Failed { error, .. } => failure = Some(error),
                 TraceEvent::Refused { .. } | TraceEvent::Condition { .. } => {}
             }
-            self.received.pop_front();
+            trace.received.pop_front();
             if failure.is_some() {
                 break;
             }
         }
+        drop(trace);
         self.counters.count_received(&into[..count]);
         self.condition(now, Direction::Received);
         failure.map_or(Ok(count), Err)
@@ -152,8 +196,12 @@ mod tests {
             live.iter().any(|it| it.contains("Gone")) && live.iter().any(|it| it.contains("refused: 2")),
             "{live:#?}"
         );
-        let mut replayed = ReplayPort::new(std::iter::from_fn(|| trace.read_entry()));
-        assert_eq!(calls(&mut replayed, |_| {}), live);
+        let entries: Vec<_> = std::iter::from_fn(|| trace.read_entry()).collect();
+        assert_eq!(calls(&mut ReplayPort::new(entries.iter().copied()), |_| {}), live);
+        let (mut replayed, feed) = ReplayPort::fed();
+        let of = |cycle: u64| entries.iter().filter(move |entry| entry.now == at(cycle * 100));
+        assert_eq!(calls(&mut replayed, |cycle| of(cycle).for_each(|&entry| feed.push(entry))), live);
+        assert_eq!(feed.unread(), 0);
     }
 
     #[test]

@@ -21,7 +21,7 @@ pub mod ultrasonic;
 mod virtual_line;
 
 pub use line::{Line, LineCounters, LineError, Settings, StopBits};
-pub use line_tracer::{CHUNK as TRACE_CHUNK, LineEntry, LineEvent, LineTraceReader, LineTracer, ReplayLine};
+pub use line_tracer::{CHUNK as TRACE_CHUNK, LineEntry, LineEvent, LineFeed, LineTraceReader, LineTracer, ReplayLine};
 pub use slcan_port::{SlcanError, SlcanPort};
 pub use tty::{OpenError, Tty};
 pub use virtual_line::{TimedByte, VirtualLine, VirtualLinePeer, virtual_line};

@@ -4,8 +4,8 @@
 //! out. [`ReplayLine`] repeats a trace without losses.
 
 use std::collections::VecDeque;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use can::Instant;
 use can::candump::Direction;
@@ -157,37 +157,81 @@ impl LineTraceReader {
     }
 }
 
+/// The entries that a replayed line has not repeated yet.
+#[derive(Default)]
+struct Trace {
+    received: VecDeque<LineEntry>,
+    sent: VecDeque<LineEntry>,
+}
+
+impl Trace {
+    fn push(&mut self, entry: LineEntry) {
+        match (entry.direction, entry.event) {
+            (Direction::Received, _) => self.received.push_back(entry),
+            (_, LineEvent::Refused { .. } | LineEvent::Failed { .. }) => self.sent.push_back(entry),
+            _ => {}
+        }
+    }
+}
+
 /// A line that repeats what a [`LineTracer`] recorded.
 ///
 /// A call at a given time reads the bytes of all calls up to this time that were not read yet. Errors and refusals
 /// appear in the calls in which they were recorded. The line accepts all other bytes.
 pub struct ReplayLine {
-    received: VecDeque<LineEntry>,
+    trace: Arc<Mutex<Trace>>,
     /// Number of bytes of the first entry that were read.
     read: usize,
-    sent: VecDeque<LineEntry>,
     counters: LineCounters,
+}
+
+/// The end of a [`ReplayLine`] that adds entries, for a trace that is longer than the memory.
+pub struct LineFeed(Arc<Mutex<Trace>>);
+
+impl LineFeed {
+    /// Adds an entry. The entries come in order of time, each before the call at its time.
+    pub fn push(&self, entry: LineEntry) {
+        locked(&self.0).push(entry);
+    }
+
+    /// Number of entries that the line has not repeated yet.
+    pub fn unread(&self) -> usize {
+        let trace = locked(&self.0);
+        trace.received.len() + trace.sent.len()
+    }
 }
 
 impl ReplayLine {
     /// A line that repeats `entries`, in order of time.
     pub fn new(entries: impl IntoIterator<Item = LineEntry>) -> Self {
-        let (received, sent) = entries.into_iter().partition(|entry| entry.direction == Direction::Received);
-        let mut line = Self { received, read: 0, sent, counters: LineCounters::default() };
-        line.sent.retain(|entry| matches!(entry.event, LineEvent::Refused { .. } | LineEvent::Failed { .. }));
+        let (line, feed) = Self::fed();
+        entries.into_iter().for_each(|entry| feed.push(entry));
         line
     }
+
+    /// A line without entries, and the end that adds them.
+    pub fn fed() -> (Self, LineFeed) {
+        let trace = Arc::<Mutex<Trace>>::default();
+        (Self { trace: Arc::clone(&trace), read: 0, counters: LineCounters::default() }, LineFeed(trace))
+    }
+}
+
+/// The trace. A panic of another user of the trace leaves whole entries.
+fn locked(trace: &Mutex<Trace>) -> MutexGuard<'_, Trace> {
+    trace.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 impl Line for ReplayLine {
     fn write(&mut self, now: Instant, bytes: &[u8]) -> Result<usize, LineError> {
-        while self.sent.front().is_some_and(|entry| entry.now < now) {
-            self.sent.pop_front();
+        let mut trace = locked(&self.trace);
+        while trace.sent.front().is_some_and(|entry| entry.now < now) {
+            trace.sent.pop_front();
         }
-        let outcome = self.sent.front().filter(|entry| entry.now == now).map(|entry| entry.event);
+        let outcome = trace.sent.front().filter(|entry| entry.now == now).map(|entry| entry.event);
         if outcome.is_some() {
-            self.sent.pop_front();
+            trace.sent.pop_front();
         }
+        drop(trace);
         let written = match outcome {
             Some(LineEvent::Failed { error }) => Err(error),
             Some(LineEvent::Refused { count }) => Ok(bytes.len().saturating_sub(count as usize)),
@@ -201,10 +245,11 @@ impl Line for ReplayLine {
 
     fn read(&mut self, now: Instant, into: &mut [u8]) -> Result<usize, LineError> {
         let mut count = 0;
-        while let Some(entry) = self.received.front().filter(|entry| entry.now <= now) {
+        let mut trace = locked(&self.trace);
+        while let Some(entry) = trace.received.front().filter(|entry| entry.now <= now) {
             match entry.event {
                 LineEvent::Failed { error } if count == 0 => {
-                    self.received.pop_front();
+                    trace.received.pop_front();
                     return Err(error);
                 }
                 // The bytes come first, and the next call fails.
@@ -224,7 +269,7 @@ impl Line for ReplayLine {
                     self.read = 0;
                 }
             }
-            self.received.pop_front();
+            trace.received.pop_front();
         }
         Ok(count)
     }

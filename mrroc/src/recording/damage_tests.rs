@@ -42,10 +42,20 @@ pub(crate) fn short_cell(directory: &Path, has_program: bool) -> CellFile {
 
 /// A recording in lockstep of an IRb-6 that homes, and its directory.
 fn recorded() -> (tempfile::TempDir, PathBuf) {
+    recorded_with(None)
+}
+
+/// The same with the faults of a scenario.
+pub(super) fn recorded_with(scenario: Option<&str>) -> (tempfile::TempDir, PathBuf) {
     let directory = tempfile::tempdir().unwrap();
     let recording = directory.path().join("run.mcap");
     let file = short_cell(directory.path(), false);
-    let options = RunOptions { record: Some(recording.clone()), ..RunOptions::on(BenchKind::Lockstep) };
+    let scenario = scenario.map(|text| {
+        let path = directory.path().join("faults.toml");
+        fs::write(&path, text).unwrap();
+        path
+    });
+    let options = RunOptions { record: Some(recording.clone()), scenario, ..RunOptions::on(BenchKind::Lockstep) };
     crate::run::run(&file, &options, &Requests::default(), &CarriedTask::Home.program(), &mut |_| {}).unwrap();
     (directory, recording)
 }
@@ -71,7 +81,7 @@ fn checked(recording: &Path, bytes: &[u8], whole: &Replay, what: &str) -> Result
 }
 
 /// The records outside of chunks: opcode, and place in the file with opcode and length.
-fn records(bytes: &[u8]) -> Vec<(u8, Range<usize>)> {
+pub(super) fn records(bytes: &[u8]) -> Vec<(u8, Range<usize>)> {
     let (mut found, mut at) = (Vec::new(), mcap::MAGIC.len());
     while let Some([opcode, length @ ..]) = bytes.get(at..).and_then(|rest| rest.first_chunk::<9>()) {
         let end = at + 9 + u64::from_le_bytes(*length) as usize;

@@ -7,8 +7,8 @@ use can::Instant;
 use prost::Message;
 use serde::Serialize;
 
-use super::content::Stored;
 use super::messages::{BusEvent, LineData, RobotCycle, RobotFault};
+use super::reader::Stored;
 
 /// Most differences of the first differing cycle that are listed.
 const MOST: usize = 200;
@@ -45,8 +45,6 @@ pub(super) enum Kind {
 /// The recorded outputs that were not replayed yet.
 pub(super) struct Comparison {
     expected: BTreeMap<u16, (Kind, String, VecDeque<Stored>)>,
-    /// The recording was cut, so that its last outputs may be missing.
-    cut: bool,
     /// The differences of the first cycle that has some.
     pub(super) found: Vec<Difference>,
     /// Equal messages.
@@ -54,8 +52,8 @@ pub(super) struct Comparison {
 }
 
 impl Comparison {
-    pub(super) fn new(cut: bool) -> Self {
-        Self { expected: BTreeMap::new(), cut, found: Vec::new(), equal: 0 }
+    pub(super) fn new() -> Self {
+        Self { expected: BTreeMap::new(), found: Vec::new(), equal: 0 }
     }
 
     /// Adds a channel without messages.
@@ -86,7 +84,6 @@ impl Comparison {
                 }
                 self.note(differences);
             }
-            None if self.cut => {}
             None => {
                 let difference = of(topic, "output", "nothing", shown(*kind, body));
                 self.note([difference]);
@@ -94,12 +91,28 @@ impl Comparison {
         }
     }
 
+    /// Number of the recorded outputs that were not compared yet.
+    pub(super) fn pending(&self) -> usize {
+        self.expected.values().map(|(_, _, messages)| messages.len()).sum()
+    }
+
     /// Finds the recorded outputs before `now` that the replay does not have.
     pub(super) fn missing_before(&mut self, now: Instant) {
+        self.missing(|message| message.time < now);
+    }
+
+    /// Finds all recorded outputs that the replay does not have.
+    pub(super) fn missing_to_the_end(&mut self) {
+        self.missing(|_| true);
+    }
+
+    fn missing(&mut self, is_due: impl Fn(&Stored) -> bool) {
         let mut found = Vec::new();
         for (kind, topic, messages) in self.expected.values_mut() {
-            while let Some(message) = messages.front().filter(|message| message.time < now) {
-                found.push(of(topic, "output", shown(*kind, &message.body), "nothing"));
+            while let Some(message) = messages.front().filter(|message| is_due(message)) {
+                if found.len() < MOST {
+                    found.push(of(topic, "output", shown(*kind, &message.body), "nothing"));
+                }
                 messages.pop_front();
             }
         }

@@ -1,11 +1,13 @@
 //! The messages of a recording in their types.
 
+use std::collections::BTreeMap;
+
 use can::TraceEntry;
 use prost::Message;
 use serial::LineEntry;
 
-use super::content::{Content, Stored};
 use super::messages::{BusEvent, Call, LineData, Lost, RobotOrder, Word};
+use super::reader::{Damage, Stored};
 use super::sources::Layout;
 
 /// A recorded message in its own type.
@@ -50,28 +52,18 @@ impl Entry {
     }
 }
 
-/// The messages in their types. A message that cannot be decoded damages its chunk.
-///
-/// Of an incomplete recording, the last messages of some channels may be missing. The messages therefore end before the
-/// last drain of the queues. A drain writes the journal of the servo, then buses and lines, and then cycles of robots.
-pub(super) fn entries(layout: &Layout, content: &mut Content) -> Vec<(Stored, Entry)> {
-    let mut entries = Vec::with_capacity(content.messages.len());
-    for message in &content.messages {
-        match Entry::of(layout, message) {
-            Ok(entry) => entries.push(entry),
-            Err(what) => {
-                let topic = content.channels.get(&message.channel).map_or("an unknown channel", |(topic, _)| topic);
-                let (byte, what) = (message.chunk, format!("a message of {topic}: {what}"));
-                content.damage_at(byte, what);
-                break;
-            }
+/// The messages of a chunk in their types. A message that cannot be decoded damages its chunk.
+pub(super) fn entries(
+    layout: &Layout,
+    channels: &BTreeMap<u16, (String, String)>,
+    messages: Vec<Stored>,
+) -> Result<Vec<(Stored, Entry)>, Damage> {
+    let typed = messages.into_iter().map(|message| match Entry::of(layout, &message) {
+        Ok(entry) => Ok((message, entry)),
+        Err(what) => {
+            let topic = channels.get(&message.channel).map_or("an unknown channel", |(topic, _)| topic);
+            Err(Damage { byte: message.chunk, what: format!("a message of {topic}: {what}") })
         }
-    }
-    if !content.complete {
-        let is_journal = |message: &Stored| message.channel < layout.robot(0) && message.channel != layout.lost();
-        let last = content.messages.windows(2).rposition(|pair| !is_journal(&pair[0]) && is_journal(&pair[1]));
-        content.messages.truncate(last.map_or(0, |last| last + 1));
-    }
-    // The entries of dropped messages are dropped.
-    std::mem::take(&mut content.messages).into_iter().zip(entries).collect()
+    });
+    typed.collect()
 }

@@ -16,6 +16,12 @@ use super::schema::PACKAGE;
 /// Name of the metadata of a recording.
 pub(super) const METADATA: &str = "mrroc";
 
+/// Name of the metadata behind the last message: the count of the messages by topic. A file without them is incomplete.
+pub(super) const END: &str = "mrroc-end";
+
+/// Whether the run had ended, in the metadata behind the last message.
+pub(super) const ENDED: &str = "ended";
+
 /// Most bytes of a chunk before compression.
 const CHUNK: u64 = 1 << 20;
 
@@ -23,7 +29,10 @@ const CHUNK: u64 = 1 << 20;
 pub(super) const FIRST: u16 = 1;
 
 /// Profile of the files, and version of the messages.
-pub(super) const PROFILE: &str = "mrroc-1";
+pub(super) const PROFILE: &str = "mrroc-2";
+
+/// Profile of earlier files with the same messages, which do not count them.
+pub(super) const PROFILE_WITHOUT_END: &str = "mrroc-1";
 
 /// A channel of a recording.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -59,7 +68,11 @@ impl Write for Synced {
 }
 
 /// An MCAP file under way.
-pub(super) struct McapFile(Writer<NoSeek<Synced>>);
+pub(super) struct McapFile {
+    writer: Writer<NoSeek<Synced>>,
+    /// Topic and number of messages, by channel.
+    counts: Vec<(String, u64)>,
+}
 
 impl McapFile {
     /// Begins a file with its facts and channels.
@@ -88,7 +101,7 @@ impl McapFile {
             debug_assert_eq!(usize::from(id), index + usize::from(FIRST));
         }
         writer.flush()?;
-        Ok(Self(writer))
+        Ok(Self { writer, counts: channels.iter().map(|channel| (channel.topic.clone(), 0)).collect() })
     }
 
     /// Adds a message of channel `channel`.
@@ -96,17 +109,23 @@ impl McapFile {
         let time = time.as_nanos();
         let header =
             MessageHeader { channel_id: channel + FIRST, sequence: number, log_time: time, publish_time: time };
-        Ok(self.0.write_to_known_channel(&header, body)?)
+        self.writer.write_to_known_channel(&header, body)?;
+        self.counts[usize::from(channel)].1 += 1;
+        Ok(())
     }
 
     /// Completes the chunk under way on the disk.
     pub(super) fn flush(&mut self) -> anyhow::Result<()> {
-        Ok(self.0.flush()?)
+        Ok(self.writer.flush()?)
     }
 
-    /// Completes the file.
-    pub(super) fn finish(mut self) -> anyhow::Result<()> {
-        self.0.finish()?;
+    /// Completes the file. `ended`: no message of the run is later than those of the file.
+    pub(super) fn finish(mut self, ended: bool) -> anyhow::Result<()> {
+        let mut metadata: BTreeMap<_, _> =
+            self.counts.iter().map(|(topic, count)| (topic.clone(), count.to_string())).collect();
+        metadata.insert(ENDED.to_owned(), ended.to_string());
+        self.writer.write_metadata(&Metadata { name: END.to_owned(), metadata })?;
+        self.writer.finish()?;
         Ok(())
     }
 }

@@ -195,7 +195,8 @@ impl Flights {
             anyhow::Ok(())
         })?;
         frames.flush()?;
-        mcap.finish()
+        // The last call of the servo may be under way.
+        mcap.finish(false)
     }
 
     /// A new file with the first free number. Nothing that exists is opened, and no link is followed.

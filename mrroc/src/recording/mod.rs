@@ -10,15 +10,19 @@
 //!
 //! Read `Recorder` for what is written, [`replay`](self::replay()) for how a recording runs again.
 
-mod content;
 #[cfg(test)]
 pub(crate) mod damage_tests;
 mod difference;
 mod entries;
 mod file;
 mod flight;
+mod input;
 mod messages;
+#[cfg(test)]
+mod omission_tests;
+mod reader;
 mod replay;
+mod replaying;
 mod schema;
 mod sources;
 mod window;
@@ -46,10 +50,10 @@ use file::McapFile;
 use messages::{BusEvent, Call, LineData, Lost, RobotCycle, RobotFault, RobotOrder, Timing, Word};
 use window::Window;
 
-pub use content::Damage;
 pub use difference::Difference;
 pub(crate) use file::Facts;
 pub use flight::Flights;
+pub use reader::Damage;
 pub use replay::{Replay, ReplayOptions, replay};
 pub(crate) use sources::{Layout, words};
 
@@ -282,7 +286,7 @@ impl Stream {
 
     fn finish(mut self) -> Vec<IncompleteFile> {
         if let Some(mcap) = self.mcap.take() {
-            let finished = mcap.finish();
+            let finished = mcap.finish(true);
             self.note(finished);
         }
         self.incomplete.into_iter().chain(self.frames.finish(0)).collect()

@@ -73,6 +73,11 @@ impl Layout {
         5
     }
 
+    /// Whether the messages of `channel` are from the journal of the servo. Each drain of the queues begins with these.
+    pub(super) fn is_of_journal(&self, channel: u16) -> bool {
+        channel < self.robot(0) && channel != self.lost()
+    }
+
     pub(super) fn robot(&self, robot: usize) -> u16 {
         (FIXED + robot) as u16
     }
