@@ -69,6 +69,7 @@ impl CheckedIo {
 /// Checks a cell with a task: rehearses the task, computes the load of the buses, and creates all parts of a run. The
 /// run is taken to have an operator.
 pub fn check(file: &CellFile, program: &Program) -> anyhow::Result<CheckReport> {
+    let file = &file.for_one_run();
     let program = &program.clone().with_operator(OperatorLink::new(1).0);
     let buses = budget::check(file)?;
     let rehearsed = rehearsal::rehearse(file, program)?;

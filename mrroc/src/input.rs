@@ -18,6 +18,13 @@ pub const SHEET: usize = 4 << 20;
 /// Greatest size of the record of a repair, bytes.
 pub const RECORD: usize = 1 << 20;
 
+/// Device and inode, which identify a file regardless of its path.
+pub(crate) type Identity = (u64, u64);
+
+pub(crate) fn identity(found: &Metadata) -> Identity {
+    (found.dev(), found.ino())
+}
+
 /// Why a file cannot be read.
 #[derive(Debug, Error)]
 #[expect(missing_docs, reason = "every field is in the message")]
@@ -45,6 +52,13 @@ pub enum InputError {
 /// The bytes of the regular file at `path`, at most `limit`.
 pub fn read(path: &Path, limit: usize) -> Result<Vec<u8>, InputError> {
     contents(open_regular(path)?, limit)
+}
+
+/// As [`read`], with what identifies the file that was read.
+pub(crate) fn read_identified(path: &Path, limit: usize) -> Result<(Vec<u8>, Identity), InputError> {
+    let file = open_regular(path)?;
+    let found = identity(&file.metadata()?);
+    Ok((contents(file, limit)?, found))
 }
 
 /// The regular file at `path`, for a reader that keeps a part of the file at a time.

@@ -36,6 +36,7 @@ pub mod charts;
 pub mod check;
 pub mod guardian;
 pub mod input;
+mod inputs;
 mod motions;
 #[cfg(feature = "command-line")]
 mod operator;

@@ -11,7 +11,7 @@ use controller::robot::{Arm, Space};
 use controller::trajectory_file::TrajectoryFile;
 
 use crate::cell::{CellFile, smooth_pose};
-use crate::input;
+use crate::inputs::Inputs;
 
 /// Greatest size of a trajectory file, bytes: several times what its greatest number of poses needs.
 const LARGEST_TRAJECTORY: usize = 64 << 20;
@@ -32,6 +32,7 @@ pub struct Motions {
     arm: Arm,
     limits: MotionLimits,
     motor_limits: MotionLimits,
+    inputs: Inputs,
 }
 
 impl Motions {
@@ -40,7 +41,7 @@ impl Motions {
         let arm = file.arms[robot].clone();
         let limits = file.cell.robot[robot].motion_limits(&arm);
         let motor_limits = file.cell.robot[robot].motor_limits();
-        Self { arm, limits, motor_limits }
+        Self { arm, limits, motor_limits, inputs: file.inputs().clone() }
     }
 
     /// Kinematics, drive train and tool of the robot.
@@ -99,11 +100,13 @@ impl Motions {
 
     /// The motion of a [trajectory file](controller::trajectory_file) of MRROC++, a synchronised trapezoid through
     /// its poses. Its fractions apply to the limits of the joints or the motors of this robot. Refuses a file of a
-    /// robot with another number of axes, and poses of the tool.
+    /// robot with another number of axes, and poses of the tool. A run and its rehearsals read the file once: the file
+    /// that was rehearsed is the one that is executed.
     pub fn trajectory(&self, path: impl AsRef<Path>) -> anyhow::Result<Newsmooth> {
         let path = path.as_ref();
         let place = path.display();
-        let bytes = input::read(path, LARGEST_TRAJECTORY).with_context(|| place.to_string())?;
+        let bytes = self.inputs.read("a trajectory file of the task", path, LARGEST_TRAJECTORY);
+        let bytes = bytes.with_context(|| place.to_string())?;
         let text = std::str::from_utf8(&bytes).with_context(|| format!("{place}: must be text"))?;
         let file = TrajectoryFile::parse(text).map_err(|error| anyhow!("{place}:{error}"))?;
         let motion = file.motion_of(self.arm.axes(), self.limits, self.motor_limits);
@@ -188,6 +191,27 @@ mod tests {
             // Three quarters of the way back, and a quarter of the same way on.
             let by = robot.image()?.commanded.joints.position[0] - target[0];
             assert!((-0.075..-0.05).contains(&by), "{by}");
+            Ok(())
+        });
+    }
+
+    #[test]
+    fn a_trajectory_file_that_is_replaced_after_its_rehearsal_is_not_executed() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("poses.trj");
+        let pose = |column: f64| format!("JOINT\n1\nABSOLUTE\n1 1 1 1 1\n1 1 1 1 1\n{column} -1.5 0 0 0\n");
+        fs::write(&path, pose(0.3)).unwrap();
+        completes(async move |cell: &mut Cell| {
+            let mut robot = cell.robot("left")?;
+            let motion = robot.motions().trajectory(&path)?;
+            // The first rehearsal replaces the file.
+            fs::write(path.with_extension("new"), pose(-0.3)).unwrap();
+            fs::rename(path.with_extension("new"), &path).unwrap();
+            robot.enable().await?;
+            robot.home().await?;
+            robot.execute(motion).await?;
+            let reached = robot.image()?.commanded.joints.position[0];
+            assert!((reached - 0.3).abs() < 1e-6, "{reached}");
             Ok(())
         });
     }

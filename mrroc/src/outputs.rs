@@ -1,8 +1,8 @@
-//! Output files of a command. An output must not be an input or another output. An existing file is replaced only with
-//! `--force`.
+//! Output files of a command. An output must not be an input or another output, also of another process. An existing file
+//! is replaced only with `--force`.
 
 use std::fmt::Display;
-use std::fs::{self, File, Metadata};
+use std::fs::{self, File, Metadata, TryLockError};
 use std::io::{self, ErrorKind, IsTerminal};
 use std::os::fd::AsFd;
 use std::os::unix::fs::{FileTypeExt, MetadataExt, OpenOptionsExt};
@@ -13,6 +13,7 @@ use nix::fcntl::{FcntlArg, OFlag, fcntl};
 use nix::unistd::geteuid;
 
 use crate::cell::CellFile;
+use crate::input::{Identity, identity};
 
 /// The option of a command that writes files.
 #[derive(Clone, Copy, Debug, Default)]
@@ -47,9 +48,6 @@ pub struct Outputs {
     made: Vec<PathBuf>,
 }
 
-/// Device and inode, which identify a file regardless of its path.
-type Identity = (u64, u64);
-
 struct Opened {
     what: String,
     path: PathBuf,
@@ -59,10 +57,14 @@ struct Opened {
 }
 
 impl Outputs {
-    /// Outputs that protect the files of standard output and standard error.
+    /// Outputs that protect the files of standard input, standard output and standard error.
     pub fn new(replacement: Replacement) -> Self {
-        let (stdout, stderr) = (io::stdout(), io::stderr());
-        let standard = [("standard output", stdout.as_fd()), ("standard error", stderr.as_fd())];
+        let (stdin, stdout, stderr) = (io::stdin(), io::stdout(), io::stderr());
+        let standard = [
+            ("standard input", stdin.as_fd()),
+            ("standard output", stdout.as_fd()),
+            ("standard error", stderr.as_fd()),
+        ];
         let known = standard.into_iter().filter_map(|(what, end)| {
             let found = end.try_clone_to_owned().map(File::from).and_then(|file| file.metadata()).ok()?;
             // All writers of a pipe, a terminal or a device share one end.
@@ -71,19 +73,9 @@ impl Outputs {
         Self { replacement, known: known.collect(), opened: Vec::new(), made: Vec::new() }
     }
 
-    /// Protects the files that `cell` was read from.
+    /// Protects the files that `cell` was read from, and those that a run of the cell has read.
     pub fn reads(&mut self, cell: &CellFile) {
-        self.reads_file("the cell file", &cell.path);
-        for path in cell.configuration_files() {
-            self.reads_file("a device configuration file of the cell", path);
-        }
-    }
-
-    fn reads_file(&mut self, what: &'static str, path: &Path) {
-        // A file that was removed in the meantime cannot be overwritten.
-        if let Ok(found) = fs::metadata(path) {
-            self.known.push((what, identity(&found)));
-        }
+        self.known.extend(cell.inputs().identities());
     }
 
     /// Opens the output file of the option `what`.
@@ -127,6 +119,9 @@ impl Outputs {
         }
         if found.is_file() && !made && !self.replacement.force {
             bail!("the file is there already: name another, or let --force replace it");
+        }
+        if found.is_file() {
+            lock(&file)?;
         }
         self.opened.push(opened);
         Ok(file)
@@ -229,8 +224,13 @@ fn wait_for_room(file: &File) -> io::Result<()> {
     Ok(())
 }
 
-fn identity(found: &Metadata) -> Identity {
-    (found.dev(), found.ino())
+/// Keeps other commands from the file until its last descriptor is closed.
+fn lock(file: &File) -> anyhow::Result<()> {
+    match file.try_lock() {
+        Err(TryLockError::WouldBlock) => bail!("another command writes to the file: wait for its end, or name another"),
+        // A file system without locks.
+        Ok(()) | Err(TryLockError::Error(_)) => Ok(()),
+    }
 }
 
 #[cfg(test)]
@@ -386,12 +386,30 @@ mod tests {
         symlink("cell", place("link")).unwrap();
         fs::hard_link(place("cell"), place("other")).unwrap();
         for name in ["cell", "link", "other"] {
+            let inputs = crate::inputs::Inputs::default();
+            inputs.read("the cell file", &place("cell"), 100).unwrap();
             let mut outputs = Outputs::new(FORCE);
-            outputs.reads_file("the cell file", &place("cell"));
+            outputs.known.extend(inputs.identities());
             let said = refusal(&mut outputs, &place(name));
             assert!(said.contains("the cell file is the same file"), "{said}");
         }
         assert_eq!(fs::read_to_string(place("cell")).unwrap(), "precious");
+    }
+
+    #[test]
+    fn a_file_that_another_command_writes_is_refused_even_by_force() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("it");
+        let mut first = Outputs::new(KEEP);
+        let mut file = first.open("--it", &path).unwrap();
+        first.begin().unwrap();
+        file.write_all(b"first").unwrap();
+        // A second command has its own description of the file, as another process has.
+        let said = refusal(&mut Outputs::new(FORCE), &path);
+        assert!(said.contains("another command writes to the file"), "{said}");
+        assert_eq!(fs::read_to_string(&path).unwrap(), "first");
+        drop(file);
+        Outputs::new(FORCE).open("--it", &path).unwrap();
     }
 
     #[test]

@@ -52,6 +52,70 @@ fn no_output_replaces_the_cell_file_or_what_it_names() {
 }
 
 #[test]
+fn no_output_replaces_what_a_run_reads() {
+    let directory = Directory::new();
+    let place = |name: &str| directory.path(name);
+    let cell = kit::teach::cell(&directory, "file = 'poses.trj'\nreplace = true");
+    let files = [
+        ("faults.toml", "[[fault]]\nat = 900.0\nkind = \"lost\"\naxis = \"column\"\n"),
+        ("poses.trj", "JOINT\n1\nABSOLUTE\n1 1 1 1 1\n1 1 1 1 1\n0.3 -1.5 0 0 0\n"),
+        ("orders", "record\ndone\n"),
+    ];
+    for (name, text) in files {
+        directory.write(name, text);
+        fs::hard_link(place(name), place(&format!("{name}.hard"))).unwrap();
+        symlink(name, place(&format!("{name}.link"))).unwrap();
+    }
+    // A recording writes a candump log beside it.
+    symlink("poses.trj", place("beside.log")).unwrap();
+    let scenario = format!("--scenario={}", place("faults.toml").display());
+    let tasks = [
+        ("faults.toml", vec!["--task=home", &scenario], "the scenario is the same file"),
+        ("poses.trj", vec!["--task=replay"], "a trajectory file of the task is the same file"),
+        ("poses.trj", vec!["--task=teach", "--operator"], "the trajectory file of the task is the same file"),
+        ("orders", vec!["--task=teach", "--operator"], "standard input is the same file"),
+    ];
+    for (file, task, refusal) in &tasks {
+        let names = ["", ".hard", ".link"].map(|end| place(&format!("{file}{end}")));
+        let options = ["trace", "record", "steps", "truth"];
+        let mut outputs: Vec<_> = options.into_iter().flat_map(|it| names.iter().map(move |name| (it, name))).collect();
+        let recording = place("beside.mcap");
+        if *file == "poses.trj" {
+            outputs.push(("record", &recording));
+        }
+        for (option, output) in outputs {
+            let mut run = Command::new(binary());
+            run.args(["run", "--bench=lockstep", "--force"]).args(task).arg(&cell);
+            run.arg(format!("--{option}={}", output.display()));
+            let run = run.stdin(File::open(place("orders")).unwrap()).output().unwrap();
+            let said = String::from_utf8(run.stderr).unwrap();
+            assert_eq!(run.status.code(), Some(2), "{task:?}, --{option} {output:?}: {said}");
+            assert!(said.contains(refusal), "{task:?}, --{option} {output:?}: {said}");
+            for (name, text) in files {
+                assert_eq!(fs::read_to_string(place(name)).unwrap(), text, "{task:?}, --{option} {output:?}");
+            }
+        }
+    }
+}
+
+#[test]
+fn two_runs_never_write_into_one_file() {
+    let directory = Directory::new();
+    let cell = directory.cell("irb6", shorten);
+    let record = directory.write("axes.csv", "of another run");
+    let other = File::options().append(true).open(&record).unwrap();
+    other.lock().unwrap();
+    let words = ["run", "--bench=lockstep", "--force"].map(AsRef::as_ref);
+    let words = [&words[..], &[cell.as_os_str()]].concat();
+    refused(&with(&words, "record", &record), &["--record", "another command writes to the file"]);
+    assert_eq!(fs::read_to_string(&record).unwrap(), "of another run");
+    drop(other);
+    let run = with(&words, "record", &record);
+    assert_eq!(run.status.code(), Some(0), "{run:?}");
+    assert!(fs::read_to_string(record).unwrap().starts_with("cycle,"));
+}
+
+#[test]
 fn two_outputs_are_never_one_file() {
     let directory = Directory::new();
     let place = |name: &str| directory.path(name);

@@ -91,13 +91,42 @@ fn orders_that_cannot_be_executed_leave_the_robot_standing_and_the_operator_is_a
 }
 
 #[test]
-fn an_input_that_ends_before_done_is_a_fault_and_no_file_is_written() {
+fn an_input_that_ends_before_done_is_a_fault_and_the_recorded_poses_are_kept() {
     let directory = Directory::new();
     let cell = cell(&directory, "file = 'poses.trj'");
-    let run = teach_in_lockstep(&cell, &["record"], &[]);
-    assert_eq!(run.status.code(), Some(1), "{run:?}");
-    assert!(run.stdout.contains("the operator's input is closed"), "{run:?}");
-    assert!(!directory.path("poses.trj").exists());
+    for number in ["", "-2"] {
+        let run = teach_in_lockstep(&cell, &["record", "move column 0.3", "record"], &[]);
+        assert_eq!(run.status.code(), Some(1), "{run:?}");
+        assert!(run.stdout.contains("the operator's input is closed"), "{run:?}");
+        let part = format!("poses.trj.part{number}");
+        assert!(run.stderr.contains(&format!("{part}: rename it to replay it")), "{run:?}");
+        assert!(!directory.path("poses.trj").exists());
+        let kept = TrajectoryFile::parse(&fs::read_to_string(directory.path(&part)).unwrap()).unwrap();
+        assert_eq!(kept.poses().len(), 2);
+    }
+}
+
+#[test]
+fn a_part_of_an_earlier_teach_in_is_kept_and_prevents_no_other_one() {
+    let directory = Directory::new();
+    let cell = cell(&directory, "file = 'poses.trj'\nvelocity = 0.5\nacceleration = 0.5");
+    directory.write("poses.trj.part", "of an earlier teach-in");
+    let run = teach_in_lockstep(&cell, &ORDERS, &[]);
+    assert_eq!(run.status.code(), Some(0), "{run:?}");
+    taught(&directory.path("poses.trj"));
+    assert_eq!(fs::read_to_string(directory.path("poses.trj.part")).unwrap(), "of an earlier teach-in");
+    assert!(!directory.path("poses.trj.part-2").exists());
+}
+
+#[test]
+fn a_teach_in_replaces_no_input_of_its_run() {
+    let directory = Directory::new();
+    let cell = cell(&directory, "file = 'cell.toml'\nreplace = true");
+    let text = fs::read_to_string(&cell).unwrap();
+    let run = teach_in_lockstep(&cell, &ORDERS, &[]);
+    assert_eq!(run.status.code(), Some(2), "{run:?}");
+    assert!(run.stderr.contains("is the cell file: name another"), "{run:?}");
+    assert_eq!(fs::read_to_string(&cell).unwrap(), text);
 }
 
 #[test]

@@ -37,7 +37,8 @@ impl DeviceConfiguration {
         let shown = path.display();
         let refuse = |problem: String| Err(file.refuse(&key, format_args!("{shown} {problem}")));
         let at_line = |(line, problem): (u32, String)| anyhow!("{shown}:{line}: {problem}");
-        let bytes = input::read(&path, input::SHEET);
+        let what = "a device configuration file of the cell";
+        let bytes = file.inputs().read_of_cell(what, &path, input::SHEET);
         let bytes = bytes.map_err(|error| file.refuse(&key, format_args!("{shown}: {error}")))?;
         let dcf = Eds::read(&bytes).map_err(|error| anyhow!("{shown}:{error}"))?;
 

@@ -9,7 +9,7 @@ use drive::cia402::Identity;
 use serde::de::DeserializeOwned;
 use thiserror::Error;
 
-use crate::input;
+use crate::inputs::Inputs;
 
 use super::{Cell, CellError, LARGEST, device_configuration::DeviceConfiguration, read};
 
@@ -26,6 +26,8 @@ pub struct CellFile {
     pub arms: Vec<Arm>,
     /// The device configurations by robot and axis, where the cell names a file.
     configurations: Vec<Vec<Option<DeviceConfiguration>>>,
+    /// The files that were read.
+    inputs: Inputs,
 }
 
 /// An error of a cell file, with the path of the file.
@@ -42,18 +44,29 @@ impl CellFile {
     /// Reads and checks a cell file. The motions of its programs are checked by a rehearsal.
     pub fn read(path: impl AsRef<Path>) -> anyhow::Result<Self> {
         let path = path.as_ref();
-        let bytes = input::read(path, LARGEST).with_context(|| path.display().to_string())?;
+        let inputs = Inputs::default();
+        let bytes = inputs.read_of_cell("the cell file", path, LARGEST).with_context(|| path.display().to_string())?;
         let text = Cell::text(&bytes).map_err(|error| refusal(path, &error))?.to_owned();
         let cell = Cell::parse(&text).map_err(|error| refusal(path, &error))?;
         let arms = (0..cell.robot.len()).map(|robot| cell.arm(robot)).collect::<Result<_, _>>();
         let arms = arms.expect("a parsed cell has sound parameters");
-        let mut file = Self { path: path.to_owned(), text, cell, arms, configurations: Vec::new() };
+        let mut file = Self { path: path.to_owned(), text, cell, arms, configurations: Vec::new(), inputs };
         for robot in 0..file.cell.robot.len() {
             let axes = 0..file.cell.robot[robot].axis.len();
             let read = axes.map(|axis| DeviceConfiguration::read(&file, robot, axis)).collect::<anyhow::Result<_>>()?;
             file.configurations.push(read);
         }
         Ok(file)
+    }
+
+    /// The files that were read.
+    pub(crate) fn inputs(&self) -> &Inputs {
+        &self.inputs
+    }
+
+    /// The same cell for one run with its rehearsals, which read each further file once.
+    pub(crate) fn for_one_run(&self) -> Self {
+        Self { inputs: self.inputs.of_cell(), ..self.clone() }
     }
 
     /// The parameters of the task: the table `task`, empty where absent.

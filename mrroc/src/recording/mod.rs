@@ -342,7 +342,8 @@ impl Facts {
         let name = |path: &Path| path.strip_prefix(directory).unwrap_or(path).to_string_lossy().into_owned();
         let mut files = vec![(name(&file.path), file.text.clone().into_bytes())];
         for path in file.configuration_files() {
-            files.push((name(path), std::fs::read(path).with_context(|| path.display().to_string())?));
+            let bytes = file.inputs().bytes(path).with_context(|| format!("{} was not read", path.display()))?;
+            files.push((name(path), bytes.to_vec()));
         }
         let texts = [("version", env!("CARGO_PKG_VERSION")), ("bench", bench.name()), ("cell", &file.cell.name)];
         Ok(Self { texts: texts.map(|(key, text)| (key.to_owned(), text.to_owned())).into(), files })

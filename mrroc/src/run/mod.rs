@@ -135,7 +135,11 @@ pub fn run(
     progress: &mut dyn FnMut(Progress),
 ) -> anyhow::Result<RunReport> {
     options.check()?;
+    let file = &file.for_one_run();
     let scenario = options.scenario.as_deref().map(Scenario::read).transpose()?;
+    if let Some(path) = &options.scenario {
+        file.inputs().protect("the scenario", path);
+    }
     if let Some(percent) = options.speed {
         let fraction = if percent > 0.0 { percent / 100.0 } else { f64::NAN };
         let set = requests.speed.set(fraction);

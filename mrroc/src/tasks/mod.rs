@@ -3,6 +3,7 @@
 mod camera;
 mod carried;
 mod cell;
+mod draft;
 mod error;
 mod figures;
 mod force;

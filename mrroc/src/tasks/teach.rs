@@ -1,10 +1,9 @@
 //! Teach-in and replay: the tasks that write and execute a trajectory file.
 
-use std::fs::{self, File};
-use std::io::Write as _;
+use std::fs;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, anyhow};
+use anyhow::anyhow;
 use controller::ecp::Class;
 use controller::generator::{Newsmooth, SmoothPose};
 use controller::robot::Space;
@@ -13,6 +12,7 @@ use controller::trajectory_file::{Coordinates, MOST_POSES, MotionType, Trajector
 use serde::Deserialize;
 use servo::MAX_AXES;
 
+use super::draft::Draft;
 use super::{Cell, Outcome, Robot, TaskError};
 use crate::cell;
 
@@ -138,6 +138,11 @@ pub(super) async fn teach(cell: &mut Cell) -> Outcome {
         let problem = format!("{} is there already: name another, or set replace = true", path.display());
         return Err(cell.file().refuse(&cell::Path::to("task").then("file"), problem).into());
     }
+    if let Some(what) = cell.file().inputs().reads(&path) {
+        let problem = format!("{} is {what}: name another", path.display());
+        return Err(cell.file().refuse(&cell::Path::to("task").then("file"), problem).into());
+    }
+    cell.file().inputs().protect_target("the trajectory file of the task", &path);
     robot.enable().await?;
     robot.home().await?;
     if !parameters.drives_on {
@@ -148,29 +153,100 @@ pub(super) async fn teach(cell: &mut Cell) -> Outcome {
         }
         robot.disable().await?;
     }
-    let poses = record(cell, &mut robot, &parameters).await?;
-    let coordinates = match parameters.coordinates {
-        Taught::Joint => Coordinates::Joint,
-        Taught::Motor => Coordinates::Motor,
+    let mut taught = TaughtPoses {
+        coordinates: match parameters.coordinates {
+            Taught::Joint => Coordinates::Joint,
+            Taught::Motor => Coordinates::Motor,
+        },
+        axes: robot.motions().arm().axes(),
+        poses: Vec::new(),
+        draft: Draft::of(&path),
     };
-    let (count, axes) = (poses.len(), robot.motions().arm().axes());
-    let file = TrajectoryFile::new(coordinates, MotionType::Absolute, axes, poses).map_err(|error| anyhow!(error))?;
-    write(&path, &file.to_string(), parameters.replace).with_context(|| path.display().to_string())?;
+    let recorded = record(cell, &mut robot, &parameters, &mut taught).await;
+    if recorded.is_err() {
+        taught.leave(cell);
+    }
+    recorded?;
+    let count = taught.poses.len();
     cell.tell(format!("{}: {count} poses", path.display()));
     cell.figure("poses", count as f64);
     robot.disable().await
 }
 
-/// The poses that the operator records, at least one.
-async fn record(cell: &Cell, robot: &mut Robot, parameters: &Parameters) -> Result<Vec<SmoothPose>, TaskError> {
+/// Number of poses up to which each pose is written at once. A longer file is written at each hundredth pose.
+const EACH: usize = 1000;
+
+/// The poses of a teach-in. They are in a file beside the trajectory file before it is complete, so that no end of the
+/// run loses them.
+struct TaughtPoses {
+    coordinates: Coordinates,
+    axes: usize,
+    poses: Vec<SmoothPose>,
+    draft: Draft,
+}
+
+impl TaughtPoses {
+    /// The text of the trajectory file.
+    fn text(&self) -> anyhow::Result<String> {
+        let file = TrajectoryFile::new(self.coordinates, MotionType::Absolute, self.axes, self.poses.clone());
+        Ok(file.map_err(|error| anyhow!(error))?.to_string())
+    }
+
+    /// Adds a pose and writes all of them to the draft.
+    fn add(&mut self, pose: SmoothPose, cell: &Cell) {
+        self.poses.push(pose);
+        let count = self.poses.len();
+        if count > EACH && !count.is_multiple_of(100) {
+            return;
+        }
+        match self.save() {
+            Ok(()) if count == 1 => {
+                let place = self.draft.place().unwrap_or(Path::new("")).display();
+                cell.tell(format!("the poses are kept in {place} until done"));
+            }
+            Ok(()) => {}
+            Err(error) => cell.tell(format!("pose {count} is kept in memory alone: {error:#}: free space on the disk")),
+        }
+    }
+
+    fn save(&mut self) -> anyhow::Result<()> {
+        let text = self.text()?;
+        self.draft.save(&text)
+    }
+
+    /// Completes the trajectory file.
+    fn complete(&mut self, replace: bool) -> anyhow::Result<()> {
+        self.save()?;
+        self.draft.complete(replace)
+    }
+
+    /// Tells where the poses are after a teach-in that was not completed.
+    fn leave(&mut self, cell: &Cell) {
+        if self.poses.is_empty() {
+            return;
+        }
+        let count = self.poses.len();
+        match (self.save(), self.draft.place()) {
+            (Ok(()), Some(place)) => {
+                cell.tell(format!("{count} poses are in {}: rename it to replay it", place.display()));
+            }
+            (saved, _) => {
+                let why = saved.err().map(|error| format!("{error:#}: ")).unwrap_or_default();
+                cell.tell(format!("{why}the {count} poses are:\n{}", self.text().unwrap_or_default()));
+            }
+        }
+    }
+}
+
+/// Records the poses of the operator, at least one, and writes the file.
+async fn record(cell: &Cell, robot: &mut Robot, parameters: &Parameters, taught: &mut TaughtPoses) -> Outcome {
     let name = robot.name().to_owned();
     let axes = cell.file().cell.robot.iter().find(|it| it.name == name).map(|it| &it.axis[..]).unwrap_or_default();
     let axes: Vec<_> = axes.iter().map(|axis| axis.name.as_str()).collect();
-    let mut poses = Vec::new();
     loop {
         let line = cell.ask(Question::open(format!("{name}: {ORDERS}?"))).await?;
         match Order::parse(&line, &axes) {
-            Ok(Order::Record) if poses.len() == MOST_POSES => {
+            Ok(Order::Record) if taught.poses.len() == MOST_POSES => {
                 cell.tell(format!("a file has at most {MOST_POSES} poses"));
             }
             Ok(Order::Record) => {
@@ -180,17 +256,20 @@ async fn record(cell: &Cell, robot: &mut Robot, parameters: &Parameters) -> Resu
                     Taught::Joint => commanded.joints.position,
                     Taught::Motor => commanded.motors.position,
                 };
-                poses.push(parameters.pose(position));
+                taught.add(parameters.pose(position), cell);
                 let joints = &commanded.joints.position[..axes.len()];
-                cell.tell(format!("pose {}: joints {joints:.4?}", poses.len()));
+                cell.tell(format!("pose {}: joints {joints:.4?}", taught.poses.len()));
             }
             Ok(Order::Move { .. }) if !parameters.drives_on => cell.tell("the drives are off: move the robot by hand"),
             Ok(Order::Move { axis, by }) => match displace(robot, parameters, axis, by).await {
                 Err(error) if error.class() == Class::NonFatal => cell.tell(error.to_string()),
                 moved => moved?,
             },
-            Ok(Order::Done) if poses.is_empty() => cell.tell("no pose is recorded"),
-            Ok(Order::Done) => return Ok(poses),
+            Ok(Order::Done) if taught.poses.is_empty() => cell.tell("no pose is recorded"),
+            Ok(Order::Done) => match taught.complete(parameters.replace) {
+                Ok(()) => return Ok(()),
+                Err(error) => cell.tell(format!("{error:#}: the poses are kept: remove the cause, then done again")),
+            },
             Err(problem) => cell.tell(problem),
         }
     }
@@ -217,28 +296,9 @@ pub(super) async fn replay(cell: &mut Cell) -> Outcome {
     robot.disable().await
 }
 
-/// Writes a whole file, or no file. An existing file is an error, or is replaced as a whole.
-fn write(path: &Path, text: &str, replace: bool) -> anyhow::Result<()> {
-    let mut name = path.file_name().context("names no file")?.to_owned();
-    name.push(".part");
-    let part = path.with_file_name(name);
-    let written = File::create_new(&part).and_then(|mut file| {
-        file.write_all(text.as_bytes())?;
-        file.sync_all()
-    });
-    written.with_context(|| format!("{} cannot be written", part.display()))?;
-    // A link is refused where a file is there already, unlike a rename.
-    let named = if replace { fs::rename(&part, path) } else { fs::hard_link(&part, path) };
-    if !replace || named.is_err() {
-        // The error of the name is reported, not that of the removal.
-        let _ = fs::remove_file(&part);
-    }
-    Ok(named?)
-}
-
 #[cfg(test)]
 mod tests {
-    //! Orders, and the file that is written.
+    //! Orders.
 
     use super::*;
 
@@ -257,17 +317,5 @@ mod tests {
         for (line, order) in table {
             assert_eq!(Order::parse(line, &axes), order.map_err(str::to_owned), "{line:?}");
         }
-    }
-
-    #[test]
-    fn a_file_is_replaced_only_if_asked_and_no_part_of_it_is_left() {
-        let directory = tempfile::tempdir().unwrap();
-        let path = directory.path().join("poses.trj");
-        write(&path, "one", false).unwrap();
-        assert!(write(&path, "two", false).is_err());
-        assert_eq!(fs::read_to_string(&path).unwrap(), "one");
-        write(&path, "three", true).unwrap();
-        assert_eq!(fs::read_to_string(&path).unwrap(), "three");
-        assert_eq!(fs::read_dir(directory.path()).unwrap().count(), 1);
     }
 }
