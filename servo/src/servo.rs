@@ -166,7 +166,11 @@ impl Servo {
 
     fn bring_up_groups(&mut self, now: Instant) -> Poll<Result<(), NotUp>> {
         let mut up = true;
-        for (index, group) in self.groups.iter_mut().enumerate().filter(|(_, g)| !g.is_up) {
+        for (index, group) in self.groups.iter_mut().enumerate() {
+            if group.is_up {
+                group.drives.wait(now);
+                continue;
+            }
             match group.drives.bring_up(now) {
                 Poll::Ready(Ok(())) => group.is_up = true,
                 Poll::Ready(Err(error)) => {

@@ -110,6 +110,10 @@ impl DriveGroup for Delaying {
         self.inner.bring_up(now)
     }
 
+    fn wait(&mut self, now: Instant) {
+        self.inner.wait(now);
+    }
+
     fn read(&mut self, at: Instant, states: &mut [AxisState]) {
         self.inner.read(at, states);
         if is_planted(self.cycle) {

@@ -90,6 +90,8 @@ pub struct World {
     pub coming_up: u32,
     /// Bring-up fails with [`NEVER_BOOTED`].
     pub absent: bool,
+    /// Calls after the bring-up, while other groups came up.
+    pub waited: u32,
     /// Number of calls of `write` that panic, beginning with the next call.
     pub panics: u32,
     /// Number of batches that the bus refuses.
@@ -331,6 +333,10 @@ impl DriveGroup for Scripted {
         } else {
             Poll::Ready(Ok(()))
         }
+    }
+
+    fn wait(&mut self, _: Instant) {
+        self.world().waited += 1;
     }
 
     fn read(&mut self, _: Instant, states: &mut [AxisState]) {

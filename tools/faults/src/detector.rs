@@ -202,6 +202,10 @@ impl DriveGroup for Without {
         self.group.bring_up(now)
     }
 
+    fn wait(&mut self, now: Instant) {
+        self.group.wait(now);
+    }
+
     fn read(&mut self, now: Instant, states: &mut [AxisState]) {
         self.group.read(now, states);
         let mut hidden = false;

@@ -102,9 +102,11 @@ enum Phase {
     },
     Configuring(Progress),
     Configured,
-    /// The node was sent the NMT start at `since`.
+    /// The node was sent the NMT start at `since`. A node that booted afterwards has lost its configuration, in whatever
+    /// state it is.
     Starting {
         since: Instant,
+        booted: bool,
     },
     Operational,
 }
@@ -162,7 +164,7 @@ impl NodeBringUp {
 
     /// Starts the change to operational. The caller sends the command.
     pub(crate) fn start(&mut self, now: Instant) {
-        self.phase = Phase::Starting { since: now };
+        self.phase = Phase::Starting { since: now, booted: false };
     }
 
     pub(crate) fn configured(&self) -> bool {
@@ -183,10 +185,13 @@ impl NodeBringUp {
     /// Takes a heartbeat or boot-up message. A boot-up resets the client `sdo`.
     pub(crate) fn heard(&mut self, state: nmt::NmtState, sdo: &mut Client, now: Instant) {
         match (self.phase, state) {
-            (Phase::Starting { .. }, nmt::NmtState::Operational) => self.phase = Phase::Operational,
+            (Phase::Starting { since, .. }, nmt::NmtState::Initialising) => {
+                self.phase = Phase::Starting { since, booted: true };
+            }
+            (Phase::Starting { booted: false, .. }, nmt::NmtState::Operational) => self.phase = Phase::Operational,
             // A node that left operational may have lost its configuration. The boot time-out ends the start.
             (Phase::Operational, state) if state != nmt::NmtState::Operational => {
-                self.phase = Phase::Starting { since: now };
+                self.phase = Phase::Starting { since: now, booted: state == nmt::NmtState::Initialising };
             }
             (Phase::Booting { .. } | Phase::Configuring(_) | Phase::Configured, nmt::NmtState::Initialising) => {
                 sdo.reset();
@@ -276,9 +281,9 @@ impl NodeBringUp {
                 });
                 self.advance(sdo, now)
             }
-            Phase::Starting { since } => {
+            Phase::Starting { since, booted } => {
                 let waited = now.since(since);
-                if waited > self.start_timeout() {
+                if booted || waited > self.start_timeout() {
                     return Err(BringUpError::NotOperational { node, waited });
                 }
                 Ok(())

@@ -463,6 +463,13 @@ impl<P: Port> DriveGroup for CanBus<P> {
         }
     }
 
+    /// The cycle with all drives off: heartbeats are read as they come, and no drive finds the host silent.
+    fn wait(&mut self, now: Instant) {
+        self.read(now, &mut vec![AxisState::default(); self.axes()]);
+        self.write(now, &vec![AxisCommand::Off; self.axes()]);
+        self.send(now);
+    }
+
     fn read(&mut self, now: Instant, states: &mut [AxisState]) {
         self.counters.last_bus_time = Duration::ZERO;
         self.sensors.iter_mut().for_each(WrenchNode::begin_of_read);

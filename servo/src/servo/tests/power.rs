@@ -24,6 +24,22 @@ fn bring_up_is_ready_when_every_group_is_and_an_error_names_its_group() {
 }
 
 #[test]
+fn a_group_that_is_up_is_called_until_the_others_are() {
+    let (groups, worlds): (Vec<_>, Vec<_>) = (0..2).map(|_| scripted::group(2)).unzip();
+    worlds[1].lock().unwrap().coming_up = 5;
+    let (mut servo, _links) = Servo::new(&scripted::config(2), groups).unwrap();
+    let mut now = Instant::ZERO;
+    let mut polls = 0;
+    while servo.bring_up(now).is_pending() {
+        now += PERIOD;
+        polls += 1;
+    }
+    assert_eq!(polls, 5);
+    assert_eq!(worlds[0].lock().unwrap().waited, 5);
+    assert_eq!(worlds[1].lock().unwrap().waited, 0);
+}
+
+#[test]
 fn a_stop_request_ends_bring_up_with_nothing_sent() {
     use crate::{lockstep, thread};
     let coming_up = || {

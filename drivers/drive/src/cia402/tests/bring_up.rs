@@ -367,6 +367,35 @@ fn configurations_that_cannot_work_are_refused() {
     }
 }
 
+/// A node may start by itself (object 0x1F80), or boot between the command and its execution.
+#[test]
+fn a_node_that_boots_after_its_start_fails_it_although_it_shows_operational() {
+    for frames in [&["702#00", "702#05"][..], &["702#05", "702#00", "702#05"]] {
+        let mut bench = Bench::new(group_config(), &[axis_config(2), axis_config(3)]);
+        bench.stores[0].starts = false;
+        bench.stores[1].starts = false;
+        let mut since_start = 0;
+        let result = (0..5_000).find_map(|_| {
+            if let Poll::Ready(result) = bench.group.bring_up(bench.now) {
+                return Some(result);
+            }
+            bench.serve();
+            bench.now += PERIOD;
+            let at = bench.now;
+            let mut bus = bench.bus.0.lock().unwrap();
+            since_start += usize::from(bus.sent.contains(&frame("000#0102")));
+            // One frame of node 2 per call, then node 3 is operational.
+            let heard = match since_start {
+                0 => return None,
+                call => *frames.get(call - 1).unwrap_or(&"703#05"),
+            };
+            bus.inbox.push_back(Received { frame: frame(heard), at });
+            None
+        });
+        assert!(matches!(result, Some(Err(BringUpError::NotOperational { node: 2, .. }))), "{frames:?}: {result:?}");
+    }
+}
+
 /// A node without its configuration must not be taken for a configured one.
 #[test]
 fn a_node_that_boots_while_others_still_start_fails_it() {
