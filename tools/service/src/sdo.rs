@@ -88,8 +88,15 @@ pub struct Target {
 }
 
 impl Target {
+    /// Opens the bus or the service port. On a bus, late answers to requests of an earlier process are passed first.
     fn open(&self) -> anyhow::Result<Channel> {
-        self.bus.open_channel(Duration::from_millis(self.timeout))
+        let timeout = Duration::from_millis(self.timeout);
+        let mut channel = self.bus.open_channel(timeout)?;
+        if let Channel::Bus(bus) = &mut channel {
+            // A node that does not answer the question is reported by the transfer.
+            bus.hold(&mut question(self.node, self.object, timeout, clock::now())?)?;
+        }
+        Ok(channel)
     }
 
     /// Writes `data` into an object of the node, or reads the object if `data` is `None`. The error after Ctrl-C is
@@ -264,6 +271,16 @@ fn transfer(
     Ok(found.map(|found| found.data.to_vec()))
 }
 
+/// A client that asks for another object than `object`, which every node has. A node answers requests in their order. Behind
+/// its answer, no late answer to a request for `object` of an earlier process follows, which could not be told from an
+/// answer to a request of this process.
+pub(super) fn question(node: NodeId, object: Object, timeout: Duration, now: Instant) -> Result<Client, StartError> {
+    let asked = if object == DEVICE_TYPE { VENDOR_ID } else { DEVICE_TYPE };
+    let mut client = Client::with_capacity(node, timeout, 0, CAPACITY);
+    client.upload(asked, now)?;
+    Ok(client)
+}
+
 /// A client that starts to write `data`, or to read if `data` is `None`.
 pub(super) fn start(
     node: NodeId,
@@ -370,6 +387,30 @@ impl Conversation for Client {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_late_answer_to_an_earlier_process_is_passed_before_the_transfer() {
+        let node = NodeId::new(1).unwrap();
+        let frame = |bytes: &[u8]| Frame::new(can::StandardId::new(0x581).unwrap(), bytes).unwrap();
+        let answer = |object: Object, value: u8| {
+            let [low, high] = object.index.to_le_bytes();
+            frame(&[0x43, low, high, object.subindex, value, 0, 0, 0])
+        };
+        let (timeout, now) = (Duration::from_secs(1), Instant::ZERO);
+        for object in [Object::new(0x6064, 0), DEVICE_TYPE] {
+            let mut asking = question(node, object, timeout, now).unwrap();
+            let asked = asking.poll_transmit(now).unwrap();
+            asking.handle(&answer(object, 111), now);
+            assert!(asking.poll_timeout().is_some(), "{object}: the question is not answered");
+            let other = Object::new(u16::from_le_bytes([asked.data()[1], asked.data()[2]]), asked.data()[3]);
+            asking.handle(&answer(other, 5), now);
+            assert!(asking.poll_timeout().is_none(), "{object}: the question is answered");
+            let mut client = start(node, object, None, false, timeout, now).unwrap();
+            client.poll_transmit(now).unwrap();
+            client.handle(&answer(object, 222), now);
+            assert_eq!(client.poll().unwrap().unwrap().data, [222, 0, 0, 0], "{object}");
+        }
+    }
 
     #[test]
     fn objects_are_hexadecimal_with_0x_or_without() {
