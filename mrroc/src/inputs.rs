@@ -26,8 +26,8 @@ struct Known {
 pub(crate) struct Inputs(Arc<Mutex<Vec<Known>>>);
 
 impl Inputs {
-    /// The bytes of the regular file at `path`, at most `limit`. A file that was read before is not read again, whatever
-    /// the path leads to by then.
+    /// The bytes of the regular file at `path`, at most `limit`. A file that was read before is not read again,
+    /// whatever the path leads to by then.
     pub(crate) fn read(&self, what: &'static str, path: &Path, limit: usize) -> Result<Arc<[u8]>, InputError> {
         self.read_as(what, path, limit, false)
     }

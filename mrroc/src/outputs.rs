@@ -1,5 +1,5 @@
-//! Output files of a command. An output must not be an input or another output, also of another process. An existing file
-//! is replaced only with `--force`.
+//! Output files of a command. An output must not be an input or another output, also of another process. An existing
+//! file is replaced only with `--force`.
 
 use std::fmt::Display;
 use std::fs::{self, File, Metadata, TryLockError};

@@ -77,7 +77,7 @@ fn no_output_replaces_what_a_run_reads() {
     ];
     for (file, task, refusal) in &tasks {
         let names = ["", ".hard", ".link"].map(|end| place(&format!("{file}{end}")));
-        let options = ["trace", "record", "steps", "spikes", "truth"];
+        let options = ["trace", "record", "steps", "truth"];
         let mut outputs: Vec<_> = options.into_iter().flat_map(|it| names.iter().map(move |name| (it, name))).collect();
         let recording = place("beside.mcap");
         if *file == "poses.trj" {

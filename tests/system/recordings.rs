@@ -1,12 +1,13 @@
 //! Recordings of runs: their replay, their differences from another cell, and what a broken recording still has.
 
 use std::io::Read;
-use std::process::Command;
+use std::path::Path;
+use std::process::{Command, Output};
 use std::{fs, thread};
 
 use ::mrroc::recording::{ReplayOptions, replay};
 use kit::draw::Draw;
-use kit::mrroc::{Directory, mrroc};
+use kit::mrroc::{Directory, binary, mrroc};
 use kit::recordings::{cycles, recorded, replays_whole, written};
 use serde_json::Value;
 
@@ -91,6 +92,50 @@ fn a_recording_cut_at_any_length_has_all_whole_chunks() {
         let command = mrroc(["replay".as_ref(), cut.as_os_str()]);
         assert_eq!(command.status.code(), Some(2), "byte {place}: {command:?}");
     }
+}
+
+/// `mrroc replay` with at most `megabytes` of memory of its own.
+fn replay_within(megabytes: u64, recording: &Path) -> Output {
+    let limit = format!("--data={}", megabytes << 20);
+    Command::new("prlimit").arg(limit).arg(binary()).arg("replay").arg(recording).output().unwrap()
+}
+
+#[test]
+fn the_memory_of_a_replay_does_not_depend_on_the_length_of_the_file() {
+    let directory = Directory::new();
+    let cell = written(&directory, "irb6", |_| {});
+    let recording = directory.path("run.mcap");
+    let run = mrroc(recorded(&cell, "lockstep", &recording));
+    assert_eq!(run.status.code(), Some(0), "{run:?}");
+    let whole = replay_within(200, &recording);
+    assert_eq!(whole.status.code(), Some(0), "{whole:?}");
+    // Files that are mostly holes: nothing behind the start, and a whole recording that an end follows.
+    for (name, start) in [("hole.mcap", &b"\x89MCAP0\r\n"[..]), ("tail.mcap", &fs::read(&recording).unwrap())] {
+        let path = directory.path(name);
+        fs::write(&path, start).unwrap();
+        fs::File::options().write(true).open(&path).unwrap().set_len(400 << 20).unwrap();
+        let replayed = replay_within(200, &path);
+        let said = String::from_utf8_lossy(&[&replayed.stdout[..], &replayed.stderr[..]].concat()).into_owned();
+        assert_eq!(replayed.status.code(), Some(2), "{name}: {said}");
+        assert!(said.contains(if name == "hole.mcap" { "was cut" } else { "behind the end" }), "{name}: {said}");
+    }
+}
+
+#[test]
+fn joined_recordings_are_no_equal_recording() {
+    let directory = Directory::new();
+    let cell = written(&directory, "irb6", |cell| cell.robot[0].program.clear());
+    let recording = directory.path("run.mcap");
+    let run = mrroc(recorded(&cell, "lockstep", &recording));
+    let whole = replays_whole(&run, &recording);
+    let bytes = fs::read(&recording).unwrap();
+    let joined = directory.path("joined.mcap");
+    fs::write(&joined, bytes.repeat(2)).unwrap();
+    let command = mrroc(["replay".as_ref(), joined.as_os_str()]);
+    assert_eq!(command.status.code(), Some(2), "{command:?}");
+    let said = format!("damaged at byte {} (another recording behind the end of this one)", bytes.len());
+    assert!(command.stdout.contains(&said), "{command:?}");
+    assert!(command.stdout.contains(&format!("{} cycles replayed", whole.cycles)), "{command:?}");
 }
 
 #[test]

@@ -20,3 +20,18 @@ fn the_slower_laboratory_follows_its_set_points_in_virtual_time() {
     assert_eq!(run.status.code(), Some(0), "{run:?}");
     assert_eq!(run.json()["faults"], json!([]), "{run:?}");
 }
+
+/// The bring-up listens for three periods of the heartbeat, so the buses come up two seconds apart.
+#[test]
+fn buses_that_come_up_one_after_the_other_find_no_drive_silent() {
+    let directory = Directory::new();
+    for slow in [0, 1] {
+        let cell = directory.cell("polycrank", |cell| {
+            mrroc::shorten(cell);
+            cell.bus[slow].heartbeat_ms = 1000;
+        });
+        let run = mrroc::mrroc(["run".into(), cell.into(), OsString::from("--bench=lockstep"), "--json".into()]);
+        assert_eq!(run.status.code(), Some(0), "{run:?}");
+        assert_eq!(run.json()["faults"], json!([]), "{run:?}");
+    }
+}

@@ -46,8 +46,8 @@ impl Input {
     }
 
     fn took(&mut self, bytes: &[u8]) {
-        if let Some(last) = bytes.iter().rposition(|&byte| byte != 0) {
-            self.data = self.length + last + 1;
+        if let Some(length) = without_zeros(bytes) {
+            self.data = self.length + length;
         }
         let new = bytes.len().min(LAST);
         self.last.rotate_left(new);
@@ -89,12 +89,26 @@ impl Input {
     }
 }
 
+/// Length of `bytes` up to the last one that is not zero. Long holes of a file are passed block by block.
+fn without_zeros(bytes: &[u8]) -> Option<usize> {
+    let mut length = bytes.len();
+    for block in bytes.rchunks(1024) {
+        length -= block.len();
+        if block.iter().fold(0, |all, byte| all | byte) != 0 {
+            return block.iter().rposition(|&byte| byte != 0).map(|last| length + last + 1);
+        }
+    }
+    None
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
     fn last_bytes_and_data_are_those_of_the_whole_file() {
+        assert_eq!(without_zeros(&[&[0; 9][..], &[1], &[0; 5000]].concat()), Some(10));
+        assert_eq!(without_zeros(&[0; 3000]), None);
         let bytes: Vec<u8> = (1..=20).chain([0, 0, 0]).collect();
         for step in 1..bytes.len() {
             let mut input = Input::new(Box::new(io::Cursor::new(bytes.clone())));

@@ -171,6 +171,23 @@ fn joined_recordings_and_bytes_behind_the_end_are_found() {
 }
 
 #[test]
+fn a_recording_that_was_never_counted_is_cut_and_what_follows_its_end_is_damage() {
+    let (_directory, recording) = recorded_with(None);
+    let bytes = fs::read(&recording).unwrap();
+    let mut uncounted = rewritten(&bytes, false, |_, _| true);
+    let place = uncounted.windows(PROFILE.len()).position(|it| it == PROFILE.as_bytes()).unwrap();
+    uncounted[place..place + PROFILE.len()].copy_from_slice(file::PROFILE_WITHOUT_END.as_bytes());
+    // The checksum of all bytes is left out.
+    let end = records(&uncounted).into_iter().find(|(opcode, _)| *opcode == op::DATA_END).unwrap().1;
+    uncounted[end.start + 9..end.end].fill(0);
+    let replay = replayed(&recording, &uncounted).unwrap();
+    assert!(replay.is_equal() && replay.damaged.is_none(), "{replay}");
+    assert!(replay.cut.as_ref().is_some_and(|cut| cut.contains("did not count the messages")), "{replay}");
+    let replay = replayed(&recording, &[uncounted.clone(), uncounted].concat()).unwrap();
+    assert!(replay.damaged.is_some() && replay.cut.is_none(), "{replay}");
+}
+
+#[test]
 fn a_count_in_the_summary_that_differs_is_damage() {
     let (_directory, recording) = recorded_with(None);
     let bytes = fs::read(&recording).unwrap();

@@ -84,8 +84,6 @@ enum Failure {
     Damaged(String),
     /// Messages are missing.
     Missing(String),
-    /// The file has no count of its messages, as its version wrote none.
-    Uncounted,
     /// The file cannot be read at all.
     Refused(anyhow::Error),
 }
@@ -222,19 +220,13 @@ impl Reader {
 
     /// How the messages end, after the last chunk.
     pub(super) fn end(&self) -> End {
-        match self.reading.mark.filter(|_| self.reading.complete) {
-            Some(Mark { is_ended: true }) => End::Whole,
-            Some(Mark { is_ended: false }) => End::UnderWay,
+        let mark = self.reading.mark.as_ref().filter(|_| self.reading.complete);
+        match mark.map(|mark| mark.get(ENDED).is_some_and(|ended| ended == "true")) {
+            Some(true) => End::Whole,
+            Some(false) => End::UnderWay,
             None => End::Broken,
         }
     }
-}
-
-/// The record behind the last message.
-#[derive(Clone, Copy)]
-struct Mark {
-    /// Whether the run had ended.
-    is_ended: bool,
 }
 
 /// What was read so far.
@@ -246,7 +238,8 @@ struct Reading {
     damage: Option<Damage>,
     /// Whether all messages are there: the record behind them was read, and the checksum of the bytes before agrees.
     complete: bool,
-    mark: Option<Mark>,
+    /// The metadata with the number of messages by topic.
+    mark: Option<BTreeMap<String, String>>,
     profile: Option<String>,
     schemas: BTreeMap<u16, String>,
     /// Number of the last message, by channel.
@@ -270,10 +263,10 @@ impl Reading {
             _ if self.complete => {}
             Record::DataEnd(_) => self.data_end()?,
             Record::MessageIndex(_) => {}
-            _ if self.mark.is_some() => return Err(damaged("a record behind the count of the messages")),
             Record::Header(header) => self.take_profile(header.profile)?,
             Record::Metadata(metadata) if metadata.name == METADATA => self.facts.texts = metadata.metadata,
-            Record::Metadata(metadata) if metadata.name == END => self.end_mark(&metadata.metadata)?,
+            // A tool that writes the file again may write the counts before the last chunk.
+            Record::Metadata(metadata) if metadata.name == END => self.mark = Some(metadata.metadata),
             Record::Attachment { header, data, .. } => {
                 let length = self.facts.files.iter().map(|(name, data)| name.len() + data.len()).sum::<usize>();
                 if length + data.len() > FILES {
@@ -306,8 +299,16 @@ impl Reading {
         Ok(())
     }
 
-    /// Takes the record behind the last message, which has the count of each channel.
-    fn end_mark(&mut self, mark: &BTreeMap<String, String>) -> Result<(), Failure> {
+    /// Takes the record behind all messages, and compares the messages with their counts.
+    fn data_end(&mut self) -> Result<(), Failure> {
+        let Some(mark) = &self.mark else {
+            if self.profile.as_deref() != Some(PROFILE_WITHOUT_END) {
+                return Err(Failure::Missing("the counts of the messages are missing behind them".to_owned()));
+            }
+            let cut = "the version that made the recording did not count the messages, so later ones may be missing";
+            (self.cut, self.complete) = (Some(cut.to_owned()), true);
+            return Ok(());
+        };
         for (channel, (topic, _)) in &self.channels {
             let found = self.counts.get(channel).copied().unwrap_or(0);
             let Some(written) = mark.get(topic).and_then(|count| count.parse::<u64>().ok()) else {
@@ -317,18 +318,8 @@ impl Reading {
                 return Err(Failure::Missing(format!("{found} of {written} messages of {topic} are there")));
             }
         }
-        self.mark = Some(Mark { is_ended: mark.get(ENDED).is_some_and(|ended| ended == "true") });
+        self.complete = true;
         Ok(())
-    }
-
-    /// Takes the record behind all messages and the count of them.
-    fn data_end(&mut self) -> Result<(), Failure> {
-        self.complete = self.mark.is_some();
-        match self.complete {
-            true => Ok(()),
-            false if self.profile.as_deref() == Some(PROFILE_WITHOUT_END) => Err(Failure::Uncounted),
-            false => Err(Failure::Missing("the count of the messages is missing behind them".to_owned())),
-        }
     }
 
     /// Compares the counts in the summary with the messages.
@@ -409,12 +400,6 @@ impl Reading {
         let start = input.start_of_record();
         let reaches_end = has_record(start, length - at).is_some_and(|record| at + record >= input.data());
         let what = match failure {
-            Failure::Uncounted => {
-                let cut =
-                    "the version that made the recording did not count the messages, so later ones may be missing";
-                self.cut = Some(cut.to_owned());
-                return;
-            }
             Failure::Ended if !has_end && !contradicts(start) => {
                 self.cut = Some(match (self.complete, at == length) {
                     (true, _) => "the file ends behind its messages".to_owned(),
@@ -431,6 +416,7 @@ impl Reading {
             Failure::Damaged(what) | Failure::Missing(what) => what,
             Failure::Refused(error) => format!("{error:#}"),
         };
+        self.cut = None;
         // Damage behind the messages concerns none of them.
         self.damage = Some(Damage { byte: at, what });
     }

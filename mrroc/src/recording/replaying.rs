@@ -433,8 +433,8 @@ mod tests {
         let message = Stored { channel, time: Instant::ZERO, body: data.encode_to_vec(), chunk: 100 };
         let replaying = Replaying::new(Path::new("it"), &reader, &file).unwrap();
         let error = replaying.go(reader, Some(vec![message])).err().map(|error| error.to_string());
-        let said = "damaged at byte 100 (a message of an unknown channel: the channel is not declared): no cycle before \
-                    can be replayed";
+        let said = "damaged at byte 100 (a message of an unknown channel: the channel is not declared): no cycle \
+                    before can be replayed";
         assert_eq!(error.as_deref(), Some(said));
     }
 }

@@ -271,9 +271,9 @@ fn transfer(
     Ok(found.map(|found| found.data.to_vec()))
 }
 
-/// A client that asks for another object than `object`, which every node has. A node answers requests in their order. Behind
-/// its answer, no late answer to a request for `object` of an earlier process follows, which could not be told from an
-/// answer to a request of this process.
+/// A client that asks for another object than `object`, which every node has. A node answers requests in their order.
+/// Behind its answer, no late answer to a request for `object` of an earlier process follows. Such an answer could not be
+/// told from an answer to a request of this process.
 pub(super) fn question(node: NodeId, object: Object, timeout: Duration, now: Instant) -> Result<Client, StartError> {
     let asked = if object == DEVICE_TYPE { VENDOR_ID } else { DEVICE_TYPE };
     let mut client = Client::with_capacity(node, timeout, 0, CAPACITY);

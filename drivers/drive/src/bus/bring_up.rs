@@ -104,8 +104,8 @@ enum Phase {
     },
     Configuring(Progress),
     Configured,
-    /// The node was sent the NMT start at `since`. A node that booted afterwards has lost its configuration, in whatever
-    /// state it is.
+    /// The node was sent the NMT start at `since`. A node that booted afterwards has lost its configuration, in
+    /// whatever state it is.
     Starting {
         since: Instant,
         booted: bool,
