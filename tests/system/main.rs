@@ -14,6 +14,7 @@ mod closed_output;
 mod configuration;
 mod conformance;
 mod contour;
+mod counter_jumps;
 mod cycle;
 mod datasheet;
 mod digital_io;

@@ -17,6 +17,7 @@ pub mod latest;
 mod remedies;
 mod scale;
 mod state;
+mod step_check;
 pub mod ultrasonic;
 mod warning;
 mod word;

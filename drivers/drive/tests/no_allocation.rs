@@ -179,6 +179,7 @@ fn axis(raw: u8) -> AxisConfig {
             start_timeout: Duration::from_secs(1),
         },
         plausible_velocity: 100.0 * TAU,
+        plausible_acceleration: 100_000.0 * TAU,
         following_error: TAU,
         quick_stop_deceleration: TAU,
         emergency_input: (raw == 1).then_some(16),

@@ -29,6 +29,9 @@ const RUNAWAY: f64 = 1.2;
 /// Plausibility bound of the velocity of a motor on a CAN bus, as a multiple of the velocity of a runaway loop.
 const PLAUSIBLE: f64 = 2.0;
 
+/// Default plausibility bound of the acceleration of a motor, as a multiple of the greatest acceleration of the axis.
+const PLAUSIBLE_ACCELERATION: f64 = 20.0;
+
 /// Default time within which a drive shows that it searches for its reference.
 const SEARCH_START: Duration = Duration::from_secs(1);
 
@@ -153,6 +156,9 @@ impl Axis {
                 start_timeout: self.homing.start_timeout(),
             },
             plausible_velocity: PLAUSIBLE * self.runaway_velocity(),
+            plausible_acceleration: drive
+                .plausible_acceleration
+                .unwrap_or(PLAUSIBLE_ACCELERATION * self.max_acceleration),
             following_error: self.following_error,
             quick_stop_deceleration: self.max_acceleration,
             emergency_input: drive.emergency_stop.as_ref().map(|contact| contact.input),
@@ -181,7 +187,9 @@ impl Axis {
             control: controller.control,
             max_current: controller.max_current,
             max_velocity: controller.plausible_velocity.unwrap_or(4.0 / 3.0 * self.max_velocity),
-            max_acceleration: controller.plausible_acceleration.unwrap_or(20.0 * self.max_acceleration),
+            max_acceleration: controller
+                .plausible_acceleration
+                .unwrap_or(PLAUSIBLE_ACCELERATION * self.max_acceleration),
         }
     }
 

@@ -328,6 +328,9 @@ pub struct Drive {
     /// The quantity commanded to the drive.
     #[serde(default)]
     pub control: DriveControl,
+    /// Greatest acceleration that the motor can physically have, rad/s²: a step of the counter in motion that needs more is a
+    /// fault. Twenty times the axis's `max_acceleration` where absent.
+    pub plausible_acceleration: Option<f64>,
     /// The position loop in the host, with `control = "velocity"` or `"torque"`.
     pub r#loop: Option<Loop>,
     /// A digital input of the drive that is a contact of the emergency stop.

@@ -5,12 +5,16 @@ use serial::nfv2::Status;
 
 use super::config::{AxisConfig, GroupConfig};
 use super::stream::Answer;
+use crate::step_check::{StepBounds, StepCheck};
 
 /// Answers in a row that must agree about a position beyond reach before it is accepted as a jump of the counter.
 const ANSWERS_TO_JUMP: u32 = 3;
 
 /// Answers in a row that must agree about a position that is implausible but within reach, or set by the index pulse.
 const ANSWERS_TO_CONFIRM: u32 = 2;
+
+/// Periods by which answers may be later than the tolerated number of missing ones.
+const LATER: u32 = 2;
 
 /// Answers in a row that may be the same in every bit after the set-points have changed.
 const ANSWERS_TO_FREEZE: u32 = 25;
@@ -22,7 +26,8 @@ const ANSWERS_TO_FREEZE: u32 = 25;
 /// - A position is *plausible* if it is within reach and the greatest acceleration covers the change of velocity.
 ///
 /// Plausible positions are accepted at once. A position that is only within reach is accepted when the next answer
-/// agrees with it. A position beyond reach is a jump of the counter when three answers agree about it.
+/// agrees with it. A position beyond reach is a jump of the counter when three answers agree about it. A step within reach
+/// that the acceleration cannot explain is a jump when two further answers confirm it ([`StepCheck`]).
 #[derive(Clone, Debug)]
 pub(super) struct PositionCheck {
     /// Increments/s.
@@ -35,6 +40,7 @@ pub(super) struct PositionCheck {
     /// Velocity between the last two accepted positions, increments/s, and the time between them, s.
     velocity: Option<(f64, f64)>,
     candidate: Option<Candidate>,
+    steps: StepCheck,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -76,6 +82,10 @@ impl PositionCheck {
             last: None,
             velocity: None,
             candidate: None,
+            steps: StepCheck::new(StepBounds {
+                max_acceleration: axis.max_acceleration * counts,
+                latest: group.period.as_secs_f64() * f64::from(group.tolerated_missing.saturating_add(LATER)),
+            }),
         }
     }
 
@@ -84,6 +94,7 @@ impl PositionCheck {
         self.last = Some(Sample { position, at });
         self.velocity = None;
         self.candidate = None;
+        self.steps.forget();
     }
 
     /// Judges an answer whose request left at `at`. `may_index` says that the index pulse may have zeroed the counter.
@@ -97,8 +108,7 @@ impl PositionCheck {
         let moved = f64::from(new.position.wrapping_sub(last.position));
         let within_reach = moved.abs() <= self.reach(dt);
         if within_reach && self.plausible(moved, dt) {
-            self.accept(new, Some(moved / dt), dt);
-            return Verdict::Plausible;
+            return self.accept_motion(new, moved, dt, may_index);
         }
         let agree = self.candidate.filter(|candidate| {
             let moved = f64::from(new.position.wrapping_sub(candidate.last.position));
@@ -114,12 +124,12 @@ impl PositionCheck {
             return if index { Verdict::Unconfirmed } else { Verdict::Implausible };
         };
         if within_reach {
-            self.accept(new, Some(moved / dt), dt);
-            return Verdict::Plausible;
+            return self.accept_motion(new, moved, dt, may_index);
         }
         if index && referenced(before.status) {
             let velocity = self.velocity.map(|(velocity, _)| velocity);
             self.accept(new, velocity, dt);
+            self.steps.forget();
             return Verdict::Indexed(before.status);
         }
         if answers < ANSWERS_TO_JUMP {
@@ -137,6 +147,16 @@ impl PositionCheck {
     /// Whether the position of the last answer was beyond reach, which the next answers may confirm.
     pub(super) fn is_beyond_reach(&self) -> bool {
         self.candidate.is_some_and(|candidate| candidate.beyond_reach)
+    }
+
+    /// Accepts a position within reach, unless it confirms a step of the counter.
+    fn accept_motion(&mut self, new: Sample, moved: f64, dt: f64, may_index: bool) -> Verdict {
+        self.accept(new, Some(moved / dt), dt);
+        let step = self.steps.take(new.position, dt);
+        match step {
+            Some(step) if !may_index => Verdict::Jumped(new.position.wrapping_sub(step.moved)),
+            _ => Verdict::Plausible,
+        }
     }
 
     fn accept(&mut self, new: Sample, velocity: Option<f64>, dt: f64) {

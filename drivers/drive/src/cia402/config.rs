@@ -61,6 +61,9 @@ pub struct AxisConfig {
     /// Plausibility bound, rad/s. A faster change of position counts as a jump of the counter. The motor must not
     /// reach this speed even in a runaway loop.
     pub plausible_velocity: f64,
+    /// Greatest acceleration that the motor can physically have, rad/s². A step of the counter in motion that needs more
+    /// counts as a jump of the counter.
+    pub plausible_acceleration: f64,
     /// Following error at which the drive itself faults, rad of motor rotation (object 0x6065).
     pub following_error: f64,
     /// Deceleration of a quick stop, rad/s² (object 0x6085).
@@ -163,6 +166,8 @@ pub enum Quantity {
     RatedTorque,
     #[error("plausible velocity")]
     PlausibleVelocity,
+    #[error("plausible acceleration")]
+    PlausibleAcceleration,
     #[error("following error")]
     FollowingError,
     #[error("quick stop deceleration")]
@@ -282,9 +287,11 @@ impl AxisConfig {
             value.ok_or(out_of_range(quantity))
         };
         let rpm = |quantity, value| positive(quantity, rpm_magnitude(value));
-        for (quantity, value) in
-            [(Quantity::RatedTorque, self.rated_torque), (Quantity::PlausibleVelocity, self.plausible_velocity)]
-        {
+        for (quantity, value) in [
+            (Quantity::RatedTorque, self.rated_torque),
+            (Quantity::PlausibleVelocity, self.plausible_velocity),
+            (Quantity::PlausibleAcceleration, self.plausible_acceleration),
+        ] {
             if !(value > 0.0 && value.is_finite()) {
                 return Err(out_of_range(quantity));
             }

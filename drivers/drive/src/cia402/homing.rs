@@ -273,6 +273,7 @@ mod tests {
         ];
         for (words, state) in table {
             let mut timed = begun();
+            timed.counter = 0;
             words.iter().for_each(|&word| timed.answered(word));
             assert_eq!(timed.state(), *state, "{words:04X?}");
             assert_eq!(timed.word(), 0x001F);
@@ -293,7 +294,7 @@ mod tests {
             (&[SEARCHING, INTERRUPTED], SEARCHING, Homing::InProgress),
             (&[SEARCHING, DONE, DONE, DONE, DONE, DONE], DONE, Homing::InProgress),
             // Method 37 ends before any answer shows a search.
-            (&[INTERRUPTED, INTERRUPTED, DONE, DONE], DONE, Homing::Attained),
+            (&[INTERRUPTED, INTERRUPTED, DONE, DONE, DONE, DONE, DONE, DONE], DONE, Homing::Attained),
         ];
         for (words, last, state) in table {
             let mut timed = searching();
@@ -356,6 +357,7 @@ mod tests {
     #[test]
     fn the_reference_outlives_the_search_until_the_drive_drops_it() {
         let mut timed = begun();
+        timed.counter = 0;
         timed.answered(DONE_AND_KEPT);
         timed.command(false, true, true);
         assert_eq!((timed.search.needs_homing_mode(), timed.state()), (false, Homing::Attained));
@@ -368,6 +370,7 @@ mod tests {
     #[test]
     fn a_drive_without_bit_15_keeps_the_reference_of_this_run() {
         let mut timed = begun();
+        timed.counter = 0;
         timed.answered(DONE);
         timed.command(false, true, true);
         timed.answered(0x0637);

@@ -5,6 +5,7 @@ use std::time::Duration;
 use can::Instant;
 
 use super::config::{AxisConfig, GroupConfig};
+use crate::step_check::{StepBounds, StepCheck};
 use crate::{AxisState, Fault, Increments, Scale};
 
 /// Greatest error of a displacement from rounding both positions, increments.
@@ -29,6 +30,7 @@ pub(super) struct Measurement {
     /// The last position as the drive counts it, plausible or not.
     pub(super) reported: Increments,
     velocity: f64,
+    steps: StepCheck,
     /// Time at which the SYNC of that sample was sent.
     sampled: Option<Instant>,
 }
@@ -37,6 +39,10 @@ impl Measurement {
     /// A motor at `increments` before the first answer.
     pub(super) fn new(group: &GroupConfig, axis: &AxisConfig, increments: Increments) -> Self {
         let scale = axis.scale;
+        let steps = StepBounds {
+            max_acceleration: axis.plausible_acceleration * scale.increments_per_radian().abs(),
+            latest: group.period.as_secs_f64() * f64::from(group.tolerated_missing.saturating_add(SHORTEST)),
+        };
         Self {
             node: axis.node.raw(),
             scale,
@@ -45,12 +51,14 @@ impl Measurement {
             increments,
             reported: increments,
             velocity: 0.0,
+            steps: StepCheck::new(steps),
             sampled: None,
         }
     }
 
     /// Takes the position sampled by the SYNC sent at `sampled` and received at `at`. `search_speed` is given during a
-    /// search for the reference. A jump is refused and returned as a fault: position and velocity keep their values.
+    /// search for the reference. A jump is refused and returned as a fault: position and velocity keep their values. A
+    /// step in motion that the last two answers confirm is returned as a fault too; the position is taken.
     ///
     /// Velocity is the difference of two positions over the time between the SYNCs that sampled them. That time is
     /// longer than a period where an answer or a cycle was missed. The resolution is one increment per period.
@@ -66,6 +74,7 @@ impl Measurement {
         search_speed: Option<f64>,
     ) -> Result<(), Fault> {
         self.reported = position;
+        let mut step = None;
         if let Some(before) = self.sampled {
             let moved = position.0.wrapping_sub(self.increments.0);
             let dt = sampled.since(before).as_secs_f64();
@@ -73,8 +82,10 @@ impl Measurement {
             let most = self.fastest * within.as_secs_f64() + ROUNDING;
             // During a search, the drive sets the counter.
             if search_speed.is_none() && f64::from(moved).abs() > most {
+                self.steps.forget();
                 return Err(Fault::Implausible { node: self.node, moved, most: most as u32, within });
             }
+            step = self.steps.take(position.0, dt);
             let per_radian = self.scale.increments_per_radian();
             let way = f64::from(moved) / per_radian;
             let recounted =
@@ -83,9 +94,17 @@ impl Measurement {
                 self.velocity = way / dt;
             }
         }
+        // During a search, the drive sets the counter.
+        if search_speed.is_some() {
+            self.steps.forget();
+            step = None;
+        }
         self.sampled = Some(sampled);
         self.increments = position;
-        Ok(())
+        step.map_or(Ok(()), |step| {
+            let (moved, most, within) = (step.moved, step.most, self.shortest / SHORTEST);
+            Err(Fault::Implausible { node: self.node, moved, most, within })
+        })
     }
 
     pub(super) fn tell(&self, state: &mut AxisState) {

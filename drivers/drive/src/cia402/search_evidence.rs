@@ -147,7 +147,10 @@ pub(super) struct Evidence {
     last: Option<(Increments, Instant)>,
     /// The motor has moved.
     moved: bool,
-    /// Answers that show success with a counter that disagrees.
+    /// The counter was seen to be set.
+    set: bool,
+    /// Answers that show success with a counter that agrees with the zero of the method, and that disagrees.
+    agreeing: u32,
     disagreeing: u32,
 }
 
@@ -164,20 +167,21 @@ impl Evidence {
             first: None,
             last: None,
             moved: false,
+            set: false,
+            agreeing: 0,
             disagreeing: 0,
         }
     }
 
     /// Whether the drive has shown that it searches, and not yet its success.
     pub(super) fn is_searching(&self) -> bool {
-        self.searching && self.disagreeing == 0
+        self.searching && self.agreeing + self.disagreeing == 0
     }
 
     /// Takes an answer. Returns the end of the search, if the answer shows it. `doubted`: the counter may be wrong.
     ///
     /// A drive that has not yet started may seem to search until it stands, and then to be interrupted. An
-    /// interruption is therefore accepted only once the drive had time to begin. A drive may also show success before
-    /// its position shows the new count: a counter that disagrees has the time of a controlword's effect to agree.
+    /// interruption is therefore accepted only once the drive had time to begin.
     pub(super) fn take(
         &mut self,
         answer: &SearchAnswer,
@@ -213,9 +217,13 @@ impl Evidence {
         }
     }
 
+    /// A drive may show success before its position shows the new count. A counter that was not seen to be set, and is not
+    /// zero, therefore has the time of a controlword's effect to be set.
     fn success(&mut self, counter: Increments, rules: &SearchRules) -> Option<Result<(), SearchFailure>> {
         let Some(most) = rules.most.filter(|_| !rules.agrees(counter)) else {
-            return Some(Ok(()));
+            self.agreeing += 1;
+            let settled = self.set || counter.0.unsigned_abs() <= rules.at_rest;
+            return (settled || self.agreeing > ANSWERS_TO_EFFECT).then_some(Ok(()));
         };
         self.disagreeing += 1;
         let failure = SearchFailure::NotAtZero { counter: counter.0, most };
@@ -242,7 +250,8 @@ impl Evidence {
         if let Some((before, since)) = self.last.replace((counter, sampled)) {
             // Both SYNCs may have reached the drive late, as in the check of positions.
             let stepped = rules.is_step(before, counter, at.since(since));
-            self.changed |= stepped && rules.most.is_some() && rules.agrees(counter) && sampled > self.started;
+            self.set |= stepped && rules.most.is_some() && rules.agrees(counter) && sampled > self.started;
+            self.changed |= self.set;
         }
     }
 }
@@ -360,7 +369,9 @@ mod tests {
         check(34, &[(9, InProgress, 700), (1, Done, 300)], Some((10, Ok(()))));
         check(34, &[(9, InProgress, 700), (9, Done, 301)], Some((14, far(301))));
         check(34, &[(9, InProgress, 700), (9, Done, -301)], Some((14, far(-301))));
-        // The drive sets its counter after it shows success.
+        // The drive sets its counter after it shows success, also from a count near zero.
+        check(34, &[(9, InProgress, 200), (4, Done, 200), (9, Done, 2)], Some((14, Ok(()))));
+        check(34, &[(9, InProgress, 200), (9, Done, 200)], Some((14, Ok(()))));
         check(34, &[(9, InProgress, 700), (4, Done, 700), (9, Done, 2)], Some((14, Ok(()))));
         check(37, &[(2, Interrupted, 700), (4, Done, 700), (9, Done, 2)], Some((7, Ok(()))));
     }

@@ -79,6 +79,7 @@ fn place_of_drive(cell: &Cell, bus: &Path, axes: &[(usize, usize)], error: cia40
             match quantity {
                 Quantity::RatedTorque => axis.then("drive").then("rated_torque"),
                 Quantity::PlausibleVelocity => axis.then("max_velocity"),
+                Quantity::PlausibleAcceleration => axis.then("max_acceleration"),
                 Quantity::FollowingError => axis.then("following_error"),
                 Quantity::QuickStopDeceleration => axis.then("max_acceleration"),
                 Quantity::SearchSpeed => axis.then("homing").then("search_velocity"),

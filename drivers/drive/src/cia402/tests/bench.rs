@@ -56,6 +56,7 @@ pub(crate) fn axis_config(raw: u8) -> AxisConfig {
             start_timeout: Duration::from_secs(1),
         },
         plausible_velocity: tau * 1_000.0,
+        plausible_acceleration: tau * 1e9,
         following_error: tau / 2.0,
         quick_stop_deceleration: tau * 100.0,
         emergency_input: None,

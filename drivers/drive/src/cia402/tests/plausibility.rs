@@ -49,6 +49,24 @@ fn a_jump_that_the_motor_cannot_have_made_is_a_fault_and_not_believed() {
     assert_eq!(fault.to_string(), text);
 }
 
+/// The motor accelerates by 0.4 increments per period², and answers may be four periods late.
+#[test]
+fn a_step_in_motion_that_no_acceleration_explains_is_a_jump() {
+    for (step, found) in [(60, true), (-60, true), (15, false), (-15, false)] {
+        let axis = AxisConfig { plausible_velocity: FASTEST, plausible_acceleration: 50.0 * TAU, ..axis_config(2) };
+        let mut bench = Bench::up_with(group_config(), &[axis]);
+        bench.enable();
+        let mut position = 1_000;
+        for cycle in 0..20 {
+            position += 5 + if cycle == 15 { step } else { 0 };
+            at(&mut bench, position);
+            let jumped = matches!(bench.states[0].fault, Some(Fault::Implausible { moved, .. }) if moved == 5 + step);
+            assert_eq!(jumped, found && cycle >= 17, "{step}, cycle {cycle}: {:?}", bench.states[0].fault);
+        }
+        assert_eq!(bench.states[0].increments.0, position);
+    }
+}
+
 #[test]
 fn a_counter_that_wraps_does_not_jump() {
     let mut bench = enabled();
@@ -102,6 +120,10 @@ fn a_counter_that_a_search_sets_anew_late_does_not_jump() {
             bench.cycle(&[answer(2, statusword, 1_000)], &[AxisCommand::Home]);
         }
         let end = if command == AxisCommand::Off { 0x0237 } else { 0x9637 };
+        // The group waits for a counter that the drive sets behind its success.
+        for _ in 0..if command == AxisCommand::Off { 0 } else { 4 } {
+            bench.cycle(&[answer(2, end, 1_000)], &[AxisCommand::Home]);
+        }
         bench.cycle(&[answer(2, end, 1_000)], &[command]);
         for _ in 0..if late { 3 } else { 10 } {
             bench.cycle(&[answer(2, 0x9637, 1_000)], &[command]);
