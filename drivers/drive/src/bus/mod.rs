@@ -66,9 +66,6 @@ const SDO_FRAMES_PER_CALL: usize = 8;
 /// heartbeat and a service request. A port must take all frames of a cycle at once, or set-points are dropped.
 pub const BESIDE_SETPOINTS: usize = 3;
 
-/// [`DriveGroup::delay`] of the drives of a bus, cycles.
-pub const DELAY: usize = 3;
-
 /// The owner of a CAN bus. As a [`DriveGroup`], the bus has the axes of its drives.
 pub struct CanBus<P: Port> {
     port: P,
@@ -435,7 +432,7 @@ impl<P: Port> DriveGroup for CanBus<P> {
     /// A drive latches a set-point at the SYNC after the one it was sent with. In CSP, the drive interpolates to the
     /// set-point over one period (0x60C2). In CSV and CST, the next sample shows the effect of one period.
     fn delay(&self) -> usize {
-        DELAY
+        cia402::DELAY
     }
 
     /// A call after completion or an error restarts bring-up, with [`GroupConfig::listening`] and a reset of the

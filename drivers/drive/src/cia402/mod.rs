@@ -97,6 +97,9 @@ use recovery::Recovery;
 use service::Service;
 use target::Target;
 
+/// Delay of CiA 402 drives, cycles: [`DriveGroup::delay`](crate::DriveGroup::delay).
+pub const DELAY: usize = 3;
+
 /// The drives of one bus in operation. The owner of the bus passes received frames in and sends the frames of
 /// [`write`](Self::write).
 pub(crate) struct Cia402Group {

@@ -81,7 +81,7 @@ pub(super) fn check(path: &Path, period: Duration, axis: &Axis) -> Checked {
     given.law.check(&bounds).map_err(|refusal| by_servo(&path.then("law"), refusal))?;
     let feed_forward = given.feed_forward.check(given.law.limit(), &bounds);
     feed_forward.map_err(|refusal| by_servo(&path.then("feed_forward"), refusal))?;
-    let delay = if axis.drive.is_some() { drive::bus::DELAY } else { drive::axis_controller::DELAY };
+    let delay = if axis.drive.is_some() { drive::cia402::DELAY } else { drive::axis_controller::DELAY };
     let plant = LoopPlant::new(period, delay, &given.law, &given.feed_forward);
     plant.check(&given.law).map_err(|refusal| by_servo(&path.then("law"), refusal))
 }
