@@ -282,7 +282,9 @@ fn plant(plant: Plant, cause: Cause) -> (u64, u64) {
         let between = move |next: Instant| {
             next_cycle += 1;
             match plant {
-                Plant::FloodedStep if is_planted(next_cycle) => while links[0].orders.push(Order::ResetFault).is_ok() {},
+                Plant::FloodedStep if is_planted(next_cycle) => {
+                    while links[0].orders.push(Order::ResetFault).is_ok() {}
+                }
                 Plant::SlowBetween if is_planted(next_cycle) => spin_until(next + DELAY),
                 _ => {}
             }
