@@ -54,11 +54,10 @@ pub fn read(path: &Path, limit: usize) -> Result<Vec<u8>, InputError> {
     contents(open_regular(path)?, limit)
 }
 
-/// As [`read`], with what identifies the file that was read.
-pub(crate) fn read_identified(path: &Path, limit: usize) -> Result<(Vec<u8>, Identity), InputError> {
+/// As [`read`], with the file that was read.
+pub(crate) fn read_identified(path: &Path, limit: usize) -> Result<(Vec<u8>, File), InputError> {
     let file = open_regular(path)?;
-    let found = identity(&file.metadata()?);
-    Ok((contents(file, limit)?, found))
+    Ok((contents(file.try_clone()?, limit)?, file))
 }
 
 /// The regular file at `path`, for a reader that keeps a part of the file at a time.

@@ -1,7 +1,7 @@
 //! The files that one run and its rehearsals read. Each file is read once, so that what was rehearsed is what runs, and
 //! no output of the run replaces one of these files.
 
-use std::fs;
+use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
@@ -13,6 +13,8 @@ struct Known {
     what: &'static str,
     path: PathBuf,
     identity: Identity,
+    /// The file, kept open: a deleted file does not give its identity to a new one.
+    _open: Option<Arc<File>>,
     /// The contents, if the file is read through [`Inputs::read`].
     bytes: Option<Arc<[u8]>>,
     /// Whether the file is an input. The other files are targets of the task itself.
@@ -50,12 +52,14 @@ impl Inputs {
         if let Some(bytes) = same.find_map(|it| it.bytes.clone()) {
             return Ok(bytes);
         }
-        let (bytes, identity) = input::read_identified(path, limit)?;
+        let (bytes, file) = input::read_identified(path, limit)?;
+        let identity = identity(&file.metadata()?);
         let bytes = Arc::<[u8]>::from(bytes);
         known.push(Known {
             what,
             path: path.to_owned(),
             identity,
+            _open: Some(Arc::new(file)),
             bytes: Some(Arc::clone(&bytes)),
             is_input: true,
             is_of_cell,
@@ -79,7 +83,9 @@ impl Inputs {
         let identity = identity(&found);
         let mut known = self.known();
         if !known.iter().any(|it| it.what == what && it.identity == identity) {
-            known.push(Known { what, path: path.to_owned(), identity, bytes: None, is_input, is_of_cell: false });
+            let file = input::open_regular(path).ok().map(Arc::new);
+            let path = path.to_owned();
+            known.push(Known { what, path, identity, _open: file, bytes: None, is_input, is_of_cell: false });
         }
     }
 

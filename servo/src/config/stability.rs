@@ -34,6 +34,9 @@ pub struct LoopPlant {
     pub damping: f64,
 }
 
+/// A key of a law, and its field in the linear law.
+type Key = (&'static str, fn(&mut Linear) -> &mut f64);
+
 /// A linear law: `gain * (s + rate * ∫s)` with `s = position * error + velocity * velocity error`.
 #[derive(Clone, Copy)]
 struct Linear {
@@ -80,11 +83,7 @@ impl LoopPlant {
     }
 
     /// Refuses the first key without which the loop is stable. Each later key is judged without the earlier ones.
-    fn judge<const N: usize>(
-        &self,
-        mut law: Linear,
-        keys: [(&'static str, fn(&mut Linear) -> &mut f64); N],
-    ) -> Result<(), KeyError> {
+    fn judge<const N: usize>(&self, mut law: Linear, keys: [Key; N]) -> Result<(), KeyError> {
         if self.is_stable(law) {
             return Ok(());
         }

@@ -259,12 +259,16 @@ fn each_axis_of_an_irp6_is_homed_to_its_index() {
 
 #[test]
 fn a_search_that_failed_and_is_halted_shows_that_it_stands() {
-    let mut bench = Bench::booted(config());
-    bench.write("986000", 38, 1);
+    let axis = AxisConfig { home_switch: None, ..config().axis };
+    let mut bench = Bench::booted(Epos4Config { axis, ..config() });
+    bench.write("986000", 7, 1);
+    bench.write("996001", 500, 4);
     bench.enable(6);
     bench.write("406000", 0x1F, 2);
+    bench.run(60_000);
+    assert_eq!(homing_bits(&mut bench) & 0x2000, 0x2000, "the search ends at a limit switch");
     bench.write("406000", 0x010F, 2);
-    bench.run(100);
+    bench.run(1000);
     assert_eq!(homing_bits(&mut bench), 0x2400);
 }
 
