@@ -90,6 +90,7 @@ impl Inputs {
     }
 
     /// The bytes of a file that was read.
+    #[cfg(feature = "recording")]
     pub(crate) fn bytes(&self, path: &Path) -> Option<Arc<[u8]>> {
         self.known().iter().filter(|it| it.path == path).find_map(|it| it.bytes.clone())
     }
