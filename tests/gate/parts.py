@@ -93,11 +93,7 @@ def run(only):
     units = ["cargo", "test", "--release", *WHOLE, *unit_targets()]
     with_hooks = ["cargo", "test", "--release", *WHOLE, *HOOKS, *UNOPTIMISED, "--test", "hooks"]
     documented = ["cargo", "test", "--release", *WHOLE, "--quiet", "--doc"]
-    clippy = ["cargo", "clippy", LOCKED, "--quiet"]
-    warnings = ["--", "-D", "warnings"]
-    lints = [[*clippy, "--workspace", *HOOKS, "--all-targets", *warnings]]
-    lints += [[*clippy, "-p", "mrroc", "--no-default-features", "--features", feature, *warnings]
-              for feature in ["", "command-line", "pages", "recording"]]
+    lints = ["cargo", "clippy", LOCKED, "--quiet", "--workspace", *HOOKS, "--all-targets", "--", "-D", "warnings"]
     documentation = ["cargo", "doc", *WHOLE, *HOOKS, "--no-deps", "--quiet"]
     # Most of these tests wait for a clock. Their programs precede all others, which only root may arrange.
     clock = Executables(messages, only=only, chosen="mrroc-tests/clock".__eq__, threads=8 * os.cpu_count(),
@@ -119,7 +115,7 @@ def run(only):
         Part("outside", "test", Command("tests/outside/run"), needs=["release"], processors=ALL, lock="target"),
         Part("faults", "test", Command("tests/fault-table"), needs=["release"]),
         Part("documented", "test", Command(*documented), needs=["release"], processors=ALL, lock="target"),
-        Part("lints", "build", *[Command(*words) for words in lints], processors=ALL, lock="target"),
+        Part("lints", "build", Command(*lints), processors=ALL, lock="target"),
         Part("documentation", "build", Command(*documentation, env={"RUSTDOCFLAGS": "-D warnings"}), processors=ALL,
              lock="target"),
         Part("sanitizer-build", "build", Command("tests/realtime-sanitizer", "build"), processors=ALL),
