@@ -282,7 +282,9 @@ impl Rig<'_> {
         let after = self.emulator.at_rest(began);
         let teller = separate.map_or_else(|| ended.stderr.clone(), |(guard, _)| guard.output().stderr);
         let told = match failure {
-            Failure::Kill | Failure::KillAll => Some("the controller has ended without switching its drives off: the guardian put all"),
+            Failure::Kill | Failure::KillAll => {
+                Some("the controller has ended without switching its drives off: the guardian put all")
+            }
             Failure::Pause(_) | Failure::Hang => Some("mrroc: no servo cycle: the guardian put all"),
             Failure::Unguarded => None,
         };
@@ -322,8 +324,8 @@ fn guarded(name: &str, silence: Option<u32>, tries: usize) {
     let cell = directory.cell(name, |cell: &mut Cell| {
         patient(cell);
         cell.guardian_ms = silence;
-        // Without disturbances, the permitted silence is that of the example.
-        cell.max_missed_in_row = 3;
+        // As many as the permitted silence admits. Without disturbances, that is the silence of the example.
+        cell.max_missed_in_row = silence.map_or(3, |silence| silence * 1000 / cell.period_us - 2);
         for axis in &mut cell.robot[0].axis {
             axis.following_error = 100.0;
         }

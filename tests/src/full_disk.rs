@@ -45,5 +45,7 @@ pub fn limit_of_file_size_does_not_stop_the_arm() {
     assert!(said.contains("File too large (os error 27): the file ends here, and the run goes on"), "{said}");
     let report: Value = serde_json::from_str(&report).expect("a report");
     assert_eq!(report["outcome"], "completed", "{report}");
-    assert_eq!(fs::metadata(&trace).expect("the trace").len(), 64 * 512);
+    let written = fs::read_to_string(&trace).expect("the trace");
+    assert!((64 * 256..=64 * 512).contains(&written.len()), "{} bytes", written.len());
+    assert!(written.ends_with('\n'), "no half line");
 }

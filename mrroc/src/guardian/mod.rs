@@ -187,11 +187,7 @@ impl Guardian {
     /// Starts the guardian of a cell's serial lines, guarded buses and watchdog; `None` for a cell without these. The process
     /// that waits at the socket `separate` becomes the guardian, or without a socket a child of this process. Reports
     /// requests that the host denies in one warning. With [`Policy::Require`] a denied request refuses the start.
-    pub fn of_cell(
-        file: &CellFile,
-        lines: &[GuardedLine],
-        separate: Option<&Path>,
-    ) -> anyhow::Result<Option<Self>> {
+    pub fn of_cell(file: &CellFile, lines: &[GuardedLine], separate: Option<&Path>) -> anyhow::Result<Option<Self>> {
         let watchdog = file.cell.watchdog.as_ref().map(|path| {
             let opened = File::options().write(true).custom_flags(libc::O_NONBLOCK).open(path);
             opened.with_context(|| format!("watchdog {path}"))
@@ -235,13 +231,15 @@ impl Guardian {
         let orders = line_orders.and_then(|lines| Orders::new(&config, ended.as_raw_fd(), &lines, watchdog_descriptor));
         let orders = orders.ok_or(GuardianError::Lines { lines: lines.len() })?;
         let (file, words) = shared::create(&orders).map_err(memory)?;
-        let given = [file.as_raw_fd(), ended.as_raw_fd()].into_iter().chain(lines.iter().map(|line| line.line.as_raw_fd()));
+        let given =
+            [file.as_raw_fd(), ended.as_raw_fd()].into_iter().chain(lines.iter().map(|line| line.line.as_raw_fd()));
         let given: Vec<RawFd> = given.chain(watchdog_descriptor).collect();
         let process = match separate {
             None => Process::Child(Self::child(file.as_raw_fd(), given).map_err(spawn)?),
             Some(_) if given.len() > MOST_DESCRIPTORS => return Err(GuardianError::Lines { lines: lines.len() }),
             Some(socket) => {
-                let connection = |error: io::Error| GuardianError::Connection { errno: error.raw_os_error().unwrap_or(0) };
+                let connection =
+                    |error: io::Error| GuardianError::Connection { errno: error.raw_os_error().unwrap_or(0) };
                 Process::Separate(Connection::open(socket, &given).map_err(connection)?)
             }
         };

@@ -5,9 +5,10 @@
 //! numbers of its descriptors, and the descriptors. The waiting process then becomes the guardian of this controller, and
 //! serves no other. The connection tells each process of the end of the other one.
 
+use std::convert::Infallible;
 use std::fs;
-use std::io::{self, ErrorKind, IoSlice, IoSliceMut};
-use std::os::fd::{AsRawFd, FromRawFd, OwnedFd, RawFd};
+use std::io::{self, ErrorKind, IoSlice, IoSliceMut, Read};
+use std::os::fd::{AsRawFd, IntoRawFd, RawFd};
 use std::os::unix::net::{UnixListener, UnixStream};
 use std::os::unix::process::CommandExt;
 use std::path::Path;
@@ -29,16 +30,18 @@ pub(super) const MOST_DESCRIPTORS: usize = 253;
 const PATIENCE: Duration = Duration::from_secs(5);
 
 /// Waits at `socket` for a controller, and becomes its guardian. Returns only with an error.
-pub fn guard(socket: &Path) -> anyhow::Result<std::convert::Infallible> {
+pub fn guard(socket: &Path) -> anyhow::Result<Infallible> {
     let place = || format!("guardian at {}", socket.display());
     let listener = listen(socket).with_context(place)?;
     let (connection, _) = listener.accept().with_context(place)?;
     drop(listener);
     // One guardian serves one controller.
     fs::remove_file(socket).with_context(place)?;
-    let memory = receive(connection).with_context(place)?;
-    let error = Command::new("/proc/self/exe").arg0(NAME).env(VARIABLE, memory.to_string()).current_dir("/").exec();
-    Err(error).with_context(place)
+    let descriptors = receive(connection).with_context(place)?;
+    let mut command = Command::new("/proc/self/exe");
+    command.arg0(NAME).env(VARIABLE, descriptors[0].to_string()).current_dir("/");
+    process::inherit(&mut command, descriptors);
+    Err(command.exec()).with_context(place)
 }
 
 /// A listener at `socket`, also if an earlier process left its socket there.
@@ -47,7 +50,9 @@ fn listen(socket: &Path) -> anyhow::Result<UnixListener> {
         Err(error) if error.kind() == ErrorKind::AddrInUse => {
             match UnixStream::connect(socket) {
                 Err(error) if error.kind() == ErrorKind::ConnectionRefused => fs::remove_file(socket)?,
-                _ => bail!("another guardian waits there, or the file is no socket: end that process, or name another file"),
+                _ => bail!(
+                    "another guardian waits there, or the file is no socket: end that process, or name another file"
+                ),
             }
             Ok(UnixListener::bind(socket)?)
         }
@@ -56,36 +61,27 @@ fn listen(socket: &Path) -> anyhow::Result<UnixListener> {
 }
 
 /// Receives the descriptors of a controller, and gives the orders the numbers that the descriptors have in this process.
-/// Returns the number of the memory file. The next program of this process inherits all descriptors and the connection.
-fn receive(connection: UnixStream) -> anyhow::Result<RawFd> {
+/// Returns all descriptors of the guardian, the memory file first.
+fn receive(connection: UnixStream) -> anyhow::Result<Vec<RawFd>> {
     connection.set_read_timeout(Some(PATIENCE))?;
     let mut numbers = [0; 4 * MOST_DESCRIPTORS];
     let mut space = nix::cmsg_space!([RawFd; MOST_DESCRIPTORS]);
     let mut parts = [IoSliceMut::new(&mut numbers)];
-    // Without MSG_CMSG_CLOEXEC, so that the descriptors are inherited.
-    let message = recvmsg::<()>(connection.as_raw_fd(), &mut parts, Some(&mut space), MsgFlags::empty())
+    let message = recvmsg::<()>(connection.as_raw_fd(), &mut parts, Some(&mut space), MsgFlags::MSG_CMSG_CLOEXEC)
         .context("no message of a controller")?;
     let received: Vec<RawFd> = message
         .cmsgs()?
         .flat_map(|it| if let ControlMessageOwned::ScmRights(rights) = it { rights } else { Vec::new() })
         .collect();
     let length = message.bytes;
-    let sent: Vec<RawFd> =
-        numbers[..length].as_chunks().0.iter().map(|number| RawFd::from_le_bytes(*number)).collect();
+    let sent: Vec<RawFd> = numbers[..length].as_chunks().0.iter().map(|number| RawFd::from_le_bytes(*number)).collect();
     let Some((&memory, _)) = received.split_first().filter(|_| received.len() == sent.len()) else {
         bail!("what has connected is no controller of this version: {length} bytes, {} descriptors", received.len());
     };
     let here = |number: RawFd| sent.iter().position(|it| *it == number).map(|index| received[index]);
-    let connection = inherited(connection)?;
+    let connection = connection.into_raw_fd();
     Orders::renumber(memory, connection, here).context("the orders are not of this version")?;
-    Ok(memory)
-}
-
-/// The number of `connection`, which the next program of this process inherits.
-fn inherited(connection: UnixStream) -> io::Result<RawFd> {
-    use std::os::fd::IntoRawFd as _;
-    nix::fcntl::fcntl(&connection, nix::fcntl::FcntlArg::F_SETFD(nix::fcntl::FdFlag::empty()))?;
-    Ok(connection.into_raw_fd())
+    Ok(received.into_iter().chain([connection]).collect())
 }
 
 /// The end of a controller: a connection to its guardian.
@@ -121,10 +117,7 @@ impl Connection {
 
     /// Whether the guardian has closed its end: its process has ended, or it will write no more telegrams.
     pub(super) fn is_closed(&self) -> bool {
-        use std::io::Read as _;
-        match (&self.stream).read(&mut [0]) {
-            Err(error) => error.kind() != ErrorKind::WouldBlock,
-            Ok(_) => true,
-        }
+        let read = (&self.stream).read_exact(&mut [0]);
+        !matches!(read, Err(error) if error.kind() == ErrorKind::WouldBlock)
     }
 }

@@ -241,11 +241,7 @@ impl Orders {
     }
 
     /// Gives the orders of the memory file `memory` this `connection`, and the numbers that its descriptors have `here`.
-    pub(super) fn renumber(
-        memory: RawFd,
-        connection: RawFd,
-        here: impl Fn(RawFd) -> Option<RawFd>,
-    ) -> io::Result<()> {
+    pub(super) fn renumber(memory: RawFd, connection: RawFd, here: impl Fn(RawFd) -> Option<RawFd>) -> io::Result<()> {
         let unknown = || io::Error::from(io::ErrorKind::InvalidData);
         let mut orders = Self::read(memory).ok_or_else(unknown)?;
         let count = orders.count;
