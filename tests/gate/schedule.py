@@ -14,8 +14,8 @@ class Part:
     """A part of a ring: commands that run one after the other.
 
     `kind` is build, test or download. `needs` names the parts that must have passed before, `after` those that must have
-    ended, if they run. `processors` is how many processors the part keeps busy; None means all. Parts with the same `lock` never run together. `left_out` is the
-    reason why the part is left out.
+    ended, if they run. `processors` is how many processors the part keeps busy; None means all. Parts with the same
+    `lock` never run together. `left_out` is the reason why the part is left out.
     """
 
     def __init__(self, name, kind, *commands, needs=(), after=(), processors=1.0, lock=None, left_out=None):
