@@ -61,6 +61,7 @@ mod regression;
 mod repetition;
 mod report;
 mod serial_cli;
+mod serial_delays;
 mod serial_faults;
 mod serial_homing;
 mod serial_refusals;
