@@ -82,7 +82,7 @@ impl Detector {
             StopCause::FollowingError { .. } | StopCause::NotBraking { .. } => Self::FollowingError,
             StopCause::Frozen { .. } => Self::Frozen,
             StopCause::BrakeSlips { .. } => Self::Brake,
-            StopCause::Runaway { .. } => Self::Runaway,
+            StopCause::Runaway { .. } | StopCause::Oscillates(_) => Self::Runaway,
             StopCause::LimitSwitch { .. } => Self::LimitSwitches,
             StopCause::NotReady { .. } | StopCause::HomingFailed | StopCause::NoReference(_) => Self::TimeOuts,
             StopCause::Overrun { .. } | StopCause::Overloaded { .. } => Self::Deadlines,
