@@ -133,6 +133,9 @@ fn of_axis_controllers() -> Vec<AxisControllerFault> {
     let faults = vec![
         F::Silent { cycles: 3 },
         F::Late { missing: 60, cycles: 200 },
+        F::Delayed { cycles: 20, periods: 12 },
+        F::Repeated { answers: 12 },
+        F::NotIndexed { position: -2_000_000 },
         F::NotSent { cycles: 3 },
         F::Line(LineError::Gone),
         F::Line(LineError::Os(5)),
@@ -150,6 +153,9 @@ fn of_axis_controllers() -> Vec<AxisControllerFault> {
         match fault {
             F::Silent { .. }
             | F::Late { .. }
+            | F::Delayed { .. }
+            | F::Repeated { .. }
+            | F::NotIndexed { .. }
             | F::NotSent { .. }
             | F::Line(_)
             | F::Jumped { .. }
