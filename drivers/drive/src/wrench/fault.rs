@@ -77,7 +77,6 @@ impl WrenchFault {
             Fault::BusOff => Self::BusOff,
             Fault::Drive { .. }
             | Fault::Silent { .. }
-            | Fault::Late { .. }
             | Fault::NotSent { .. }
             | Fault::NotAcknowledged { .. }
             | Fault::HeartbeatLost { .. }
