@@ -18,7 +18,7 @@ pub enum AxisControllerFault {
     /// Answers came late, or late and not at all, for more cycles than the cell allows. Each belonged to an older
     /// request. An emergency stop.
     #[error(
-        "answers {periods} {} late for {cycles} cycles: set a USB adapter's latency timer to 1 ms, find what delays them",
+        "answers {periods} {} late for {cycles} cycles: check the load of the host and a USB adapter's latency timer",
         if *.periods == 1 { "period" } else { "periods" }
     )]
     Delayed { cycles: u32, periods: u32 },
