@@ -352,18 +352,22 @@ fn current_cpu() -> usize {
     unsafe { libc::sched_getcpu() }.max(0) as usize
 }
 
-/// Checks that nine of ten delayed cycles have the right cause, at the second attempt at the latest.
+/// Greatest number of attempts. A busy host delays cycles by causes of its own, in spells; a cause that is named wrongly is
+/// wrong in every attempt.
+const ATTEMPTS: usize = 6;
+
+/// Checks that nine of ten delayed cycles have the right cause, in one of several attempts.
 fn check(cases: &[(Plant, Cause)]) {
     let _alone = alone();
     for &(planted, cause) in cases {
-        let first = plant(planted, cause);
-        let enough = |(right, of): (u64, u64)| 10 * right >= 9 * of;
-        if enough(first) {
-            continue;
+        let mut seen = Vec::new();
+        while seen.last().is_none_or(|(right, of)| 10 * right < 9 * of) {
+            assert!(seen.len() < ATTEMPTS, "{planted:?}: named {cause:?} in {seen:?} planted cycles");
+            if !seen.is_empty() {
+                sleep_until(now() + Duration::from_secs(2));
+            }
+            seen.push(plant(planted, cause));
         }
-        sleep_until(now() + Duration::from_secs(1));
-        let second = plant(planted, cause);
-        assert!(enough(second), "{planted:?}: named {cause:?} in {first:?}, then {second:?} planted cycles");
     }
 }
 
