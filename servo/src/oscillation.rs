@@ -1,10 +1,13 @@
 //! Monitoring of the following error for oscillation.
 //!
-//! The following error of a stable loop comes to rest after each change of the set-points. A loop that oscillates turns
-//! the sign of its error's slope again and again at equal intervals. A *swing* is the way of the error from one turning
-//! point to the next. An axis *oscillates* if each of the last [`SWINGS`] swings is at least [`LEAST`] increments long,
-//! their durations differ by less than a factor of two, the amplitude does not fade, and the motor is faster than
-//! a motor that counts as still.
+//! The following error of a stable loop comes to rest after each change of the set-points. The error of a loop that
+//! oscillates turns again and again at equal intervals. A *swing* is the way of the error from one turning point to the
+//! next. An axis *oscillates* if the last [`SWINGS`] swings have all of these properties:
+//!
+//! - each swing is at least [`LEAST`] increments long;
+//! - the longest is less than twice as long as the shortest, in increments and in time;
+//! - the amplitude does not fade;
+//! - the motor is faster than a motor that counts as still.
 //!
 //! An oscillation *grows* if each of the last [`GROWING`] swings is at least as long as the one before, the newest at
 //! least twice as long as the oldest, and the amplitude exceeds half of the permitted following error. A loop that the

@@ -229,6 +229,12 @@ pub(crate) fn child_of(parent: u32, name: &str) -> Option<u32> {
     })
 }
 
+/// Whether child `pid` has ended. Its parent has not waited for it yet.
+fn is_over(pid: u32) -> bool {
+    let stat = fs::read_to_string(format!("/proc/{pid}/stat")).expect("a child");
+    stat.rsplit_once(") ").is_some_and(|(_, tail)| tail.starts_with('Z'))
+}
+
 fn signal(pid: u32, name: &str) {
     let sent = Command::new("kill").args([&format!("-{name}"), &pid.to_string()]).status();
     assert!(sent.expect("kill").success(), "{name} to {pid}");
@@ -380,6 +386,9 @@ fn a_separate_guardian_serves_one_run_and_ends_after_it() {
         assert_eq!(run.ended_before(&record, moves), Ok(()), "{:?}", run.output());
         let second = Running::start(["guard".as_ref(), socket.as_os_str()]);
         run.signal("INT");
+        while !is_over(run.id()) {
+            assert!(!is_over(guard.id()), "the guardian ended before its controller");
+        }
         let (ended, guarded) = (run.output(), guard.output());
         assert_eq!((ended.status.code(), guarded.status.code()), (Some(1), Some(0)), "{ended:?} {guarded:?}");
         assert_eq!(guarded.stderr, "", "no telegram, no message");

@@ -33,7 +33,7 @@ pub const PERIOD: Duration = Duration::from_millis(2);
 
 /// Time without a disturbance before a repetition, and the longest wait for it.
 const CALM: Duration = Duration::from_secs(1);
-const STORM: Duration = Duration::from_secs(30);
+const STORM: Duration = Duration::from_secs(10);
 
 /// Period of the observer. Every fifth period it reads the accounts of the kernel.
 const LOOK: Duration = Duration::from_millis(10);

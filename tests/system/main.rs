@@ -49,6 +49,7 @@ mod loops;
 mod lss;
 mod milling;
 mod no_acknowledge;
+mod oscillations;
 mod outputs;
 mod outside;
 mod random;
