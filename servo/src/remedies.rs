@@ -59,7 +59,7 @@ impl LawFault {
     pub fn remedy(&self) -> Option<&'static str> {
         Some(match self {
             Self::Silent { .. } => "check cable and rate of the sensor",
-            Self::Saturated { .. } => "unload the sensor, approach slower",
+            Self::Saturated { .. } => "look for what the tool touches, approach slower",
             Self::NotFinite | Self::Parameter { .. } => "correct generator or law",
             Self::Exceeded { .. } => "free the tool, approach slower",
             Self::Sensor(fault) => return fault.remedy(),

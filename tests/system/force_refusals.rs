@@ -105,7 +105,7 @@ fn a_serial_sensor_that_cannot_measure_is_refused_before_motion() {
                 let plane = &mut cell.scene.as_mut().unwrap().plane[0];
                 (plane.height, plane.stiffness) = (1.3, 1e5);
             },
-            ["is saturated at", "counts: unload the sensor, check its cable"],
+            ["is saturated at", "counts: free the tool of contact and load, check the cable of the sensor"],
         ),
     ];
     for (what, change, [why, remedy]) in table {
@@ -169,7 +169,10 @@ fn a_sensor_on_a_bus_that_cannot_measure_is_refused_with_its_node() {
     is_refusal(&error, [NAME, "force sensor: sensor reports status 0x4", "see its data sheet"]);
     let narrow = |config: &mut drive::wrench::WrenchNodeConfig| config.sensor.channels[2].range = 1_000;
     let error = refused(narrow, [0.0, 0.0, -100.0, 0.0, 0.0, 0.0], true);
-    is_refusal(&error, [NAME, "force sensor: Fz is saturated at", "unload the sensor, check its cable"]);
+    is_refusal(
+        &error,
+        [NAME, "force sensor: Fz is saturated at", "free the tool of contact and load, check the cable of the sensor"],
+    );
 }
 
 #[test]

@@ -127,6 +127,7 @@ impl WrenchFault {
             | Self::Line(_)
             | Self::LeftOperational => return None,
             Self::NotStarted | Self::Ended => "see why its line or bus was not brought up or ended",
+            | Self::StillSaturated { .. }
             Self::HeartbeatLost { .. } => "check supply and bus cable of the sensor",
             Self::HeartbeatNotSent { .. } => BUS_TAKES,
             Self::OtherController { .. } => ONE_CONTROLLER,

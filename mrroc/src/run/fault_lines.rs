@@ -184,6 +184,7 @@ fn of_sensors() -> Vec<WrenchFault> {
         F::OfAnotherRate { declared: Duration::from_millis(2), found: Duration::from_micros(2_500) },
         F::Status { status: 0x8000_0001 },
         F::Line(LineError::Gone),
+        F::StillSaturated { axis, counts: -32_768 },
         F::HeartbeatLost { waited },
         F::LeftOperational,
         F::HeartbeatNotSent { waited },

@@ -35,9 +35,15 @@ pub enum WrenchFault {
     /// CAN: too many samples are missing, and `samples` of them lacked a frame, or had a frame after the next SYNC.
     #[error("{samples} samples without all their frames: reduce the load of the bus, or check the PDOs of the sensor")]
     Incomplete { samples: u32 },
-    /// The reading is at or beyond the configured range. The true load may be greater.
-    #[error("{axis} is saturated at {counts} counts: unload the sensor, then reset the fault")]
+    /// The reading went beyond the configured range after readings within it: a contact of the tool, or a load that was added.
+    /// The true load may be greater.
+    #[error("{axis} went beyond its range to {counts} counts: look for what the tool touches, then reset the fault")]
     Saturated { axis: WrenchAxis, counts: i32 },
+    /// The reading is still beyond the configured range after a reset.
+    #[error(
+        "{axis} is still beyond its range at {counts} counts: free the tool or take its load off, then reset again"
+    )]
+    StillSaturated { axis: WrenchAxis, counts: i32 },
     /// The mean period of the samples is not the declared period, or answers are late by a cycle.
     #[error(
         "a sample every {found:.1?}, declared was {declared:?}: check the rate of the sensor and of its connection"
@@ -102,6 +108,7 @@ impl WrenchFault {
             Self::Missing { .. }
             | Self::Incomplete { .. }
             | Self::Saturated { .. }
+            | Self::StillSaturated { .. }
             | Self::OfAnotherRate { .. }
             | Self::Status { .. }
             | Self::HeartbeatLost { .. }
@@ -140,7 +147,8 @@ pub enum WrenchError {
     Incomplete { samples: u32 },
     #[error("a sample every {found:.1?}, declared was {declared:?}: set the rate of the sensor")]
     OfAnotherRate { declared: Duration, found: Duration },
-    #[error("{axis} is saturated at {counts} counts: unload the sensor, check its cable")]
+    /// Too many samples in a row beyond the configured range: a contact, a load that is too heavy, or a defect.
+    #[error("{axis} is saturated at {counts} counts: free the tool of contact and load, check the cable of the sensor")]
     Saturated { axis: WrenchAxis, counts: i32 },
     #[error("sensor reports status {status:#x}: see its data sheet")]
     Status { status: u32 },
@@ -176,6 +184,7 @@ pub(super) fn words(fault: Option<WrenchFault>) -> [u64; 3] {
         WrenchFault::BusOff => [14, 0, 0],
         WrenchFault::Incomplete { samples } => [15, u64::from(samples), 0],
         WrenchFault::Missing { missing, of } => [16, u64::from(missing), u64::from(of)],
+        WrenchFault::StillSaturated { axis, counts } => [17, axis as u64, errno(counts)],
     }
 }
 
@@ -210,6 +219,7 @@ pub(super) fn of_words([kind, a, b]: [u64; 3]) -> Option<WrenchFault> {
         14 => WrenchFault::BusOff,
         15 => WrenchFault::Incomplete { samples: a as u32 },
         16 => WrenchFault::Missing { missing: a as u32, of: b as u32 },
+        17 => WrenchFault::StillSaturated { axis: WrenchAxis::ALL[a as usize % 6], counts: number(b) },
         _ => WrenchFault::NotStarted,
     })
 }
@@ -223,7 +233,7 @@ pub(super) mod tests {
 
     /// Any fault, or none.
     pub(in crate::wrench) fn any_fault() -> impl Strategy<Value = Option<WrenchFault>> {
-        (0..=23_usize, any::<u32>(), any::<i32>(), any::<[u64; 2]>(), select(&WrenchAxis::ALL)).prop_map(
+        (0..=24_usize, any::<u32>(), any::<i32>(), any::<[u64; 2]>(), select(&WrenchAxis::ALL)).prop_map(
             |(kind, cycles, counts, [declared, found], axis)| {
                 let (waited, node) = (Duration::from_nanos(declared), cycles as u8);
                 [
@@ -232,6 +242,7 @@ pub(super) mod tests {
                     WrenchFault::Silent { cycles },
                     WrenchFault::Garbage { readings: cycles },
                     WrenchFault::Saturated { axis, counts },
+                    WrenchFault::StillSaturated { axis, counts },
                     WrenchFault::OfAnotherRate { declared: waited, found: Duration::from_nanos(found) },
                     WrenchFault::Status { status: cycles },
                     WrenchFault::Line(LineError::Gone),

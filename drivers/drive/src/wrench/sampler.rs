@@ -370,7 +370,12 @@ impl Sampler {
         let silent = self.waited >= self.pace.silent_after(self.config.tolerated_missing);
         let saturated = self.overload.take().or(self.saturated_at.filter(|_| silent));
         if let Some((axis, counts)) = saturated {
-            self.latch(WrenchFault::Saturated { axis, counts });
+            // The last sample within the range came before the reset.
+            let still = self.resetting;
+            self.latch(match still {
+                true => WrenchFault::StillSaturated { axis, counts },
+                false => WrenchFault::Saturated { axis, counts },
+            });
         }
         let declared = self.pace.declared();
         if silent {

@@ -115,7 +115,10 @@ fn a_saturated_sensor_is_an_error_before_operation() {
     let mut rig = Rig::with(SerialWrenchConfig::new(PERIOD), Board { load: [0, 0, 1_495, 0, 0, 0], ..Board::new() });
     let found = error(rig.bring_up());
     assert_eq!(found, WrenchError::Saturated { axis: WrenchAxis::Fz, counts: 1_495 });
-    assert_eq!(found.to_string(), "Fz is saturated at 1495 counts: unload the sensor, check its cable");
+    assert_eq!(
+        found.to_string(),
+        "Fz is saturated at 1495 counts: free the tool of contact and load, check the cable of the sensor"
+    );
     rig.line.board().load = [0; 6];
     assert_eq!(rig.bring_up(), Ok(()));
 }

@@ -145,10 +145,11 @@ fn counts_at_the_range_are_saturation_and_never_a_wrench() {
             let fault = WrenchFault::Saturated { axis, counts: counts.into() };
             assert_eq!((second.fault, second.wrench), (Some(fault), last.wrench));
             assert_eq!(rig.sensor.sensor_counters().saturated, 2);
-            // The reset holds once the sensor is unloaded.
+            // The reset holds once the tool is free.
             rig.link.reset_fault();
             rig.run(1);
-            assert_eq!(rig.run(2).fault, Some(fault));
+            let still = WrenchFault::StillSaturated { axis, counts: counts.into() };
+            assert_eq!(rig.run(2).fault, Some(still));
             rig.line.board().load[channel] = 0;
             rig.run(2);
             rig.link.reset_fault();
@@ -226,8 +227,10 @@ fn a_reset_makes_no_old_wrench_valid() {
     // A sensor that is still saturated shows no wrench either, although one saturated sample is tolerated.
     rig.line.board().load[0] = i16::MAX;
     rig.until_fault();
+    assert!(matches!(rig.link.read().fault, Some(WrenchFault::Saturated { axis: WrenchAxis::Fx, .. })));
     rig.link.reset_fault();
     assert!((0..8).all(|_| rig.cycle().measured().is_none()));
+    assert!(matches!(rig.link.read().fault, Some(WrenchFault::StillSaturated { axis: WrenchAxis::Fx, .. })));
 }
 
 #[test]
@@ -240,7 +243,11 @@ fn faults_say_what_to_check() {
         ),
         (
             WrenchFault::Saturated { axis: WrenchAxis::Tz, counts: -940 },
-            "Tz is saturated at -940 counts: unload the sensor, then reset the fault",
+            "Tz went beyond its range to -940 counts: look for what the tool touches, then reset the fault",
+        ),
+        (
+            WrenchFault::StillSaturated { axis: WrenchAxis::Fz, counts: 1_495 },
+            "Fz is still beyond its range at 1495 counts: free the tool or take its load off, then reset again",
         ),
         (
             WrenchFault::OfAnotherRate { declared: PERIOD, found: 2 * PERIOD },
