@@ -196,6 +196,40 @@ impl ServoAxis {
         matches!(found, Finding::Growing(_)).then_some(it).filter(|_| self.is_host_closed())
     }
 
+    /// The oscillation of the last swings, if they grow. The loop then is unstable, and the motor may be faster than
+    /// permitted before its amplitude counts as grown.
+    pub(crate) fn swings_up(&self) -> Option<Oscillation> {
+        self.oscillation.swings_up(self.config.increments_per_radian).filter(|_| self.is_host_closed())
+    }
+
+    /// The cause of a stop by the following error `error`, rad.
+    pub(crate) fn not_following(&self, error: f64) -> StopCause {
+        let limit = self.config.following_error;
+        let swings = self.swings_up().map(StopCause::Oscillates);
+        swings.or(self.blocked(error)).unwrap_or(StopCause::FollowingError { error, limit })
+    }
+
+    /// The cause of a stop if the motor lacks `behind`, rad, and pushes there with its torque at the limit. A motor
+    /// that moves away from its set-point is not blocked: its phases or its encoder may be reversed.
+    fn blocked(&self, behind: f64) -> Option<StopCause> {
+        let (torque, limit) = self.state.torque_at_limit()?;
+        let leaves = self.state.velocity * behind.signum() < -self.still_below();
+        let pushes = torque * behind > 0.0 && !leaves;
+        pushes.then_some(StopCause::Blocked { torque, limit, behind, stands: false })
+    }
+
+    /// The cause of a stop if the measured position stands still for `travel`, rad, with the following error `error`,
+    /// rad.
+    fn stands(&self, travel: f64, error: f64) -> StopCause {
+        // A motor at rest does not push, unless its counter has jumped.
+        match self.blocked(error).filter(|_| self.knot.velocity != 0.0) {
+            Some(StopCause::Blocked { torque, limit, .. }) => {
+                StopCause::Blocked { torque, limit, behind: travel, stands: true }
+            }
+            _ => StopCause::Frozen { travel },
+        }
+    }
+
     /// Counts the tracking error of a new sample, rad, while the effector is in `state`.
     pub(crate) fn track(&mut self, error: f64, state: ServoState) {
         if self.state.age > 0 {
@@ -364,9 +398,9 @@ impl ServoAxis {
         self.oscillation.forget();
     }
 
-    /// Distance, rad, by which the set-points or the motor must have moved since the measured position last changed, if
-    /// the distance is so long that the encoder fails or the axis is blocked. `error` is the present following error.
-    pub(crate) fn frozen(&mut self, error: f64) -> Option<f64> {
+    /// The cause of a stop if the set-points or the motor must have moved so far since the measured position last
+    /// changed that the encoder fails or the axis is blocked. `error` is the present following error.
+    pub(crate) fn frozen(&mut self, error: f64) -> Option<StopCause> {
         let seen = Change { increments: Some(self.state.increments), error };
         if self.state.age > 0 || self.config.frozen == FrozenWatch::Off {
             return None;
@@ -377,16 +411,22 @@ impl ServoAxis {
         let travel = (error - self.change.error).abs();
         let limit = (0.5 * self.config.following_error).max(FROZEN / self.config.increments_per_radian.abs());
         let expected = travel * self.config.increments_per_radian.abs() >= 2.0 && self.follows();
-        let at_once = || self.stands_at_once().filter(|_| expected).or_else(|| self.starts_at_once());
-        (travel > limit).then_some(travel).or_else(at_once)
+        let stands = (travel > limit).then_some(travel).or_else(|| self.stands_at_once().filter(|_| expected));
+        // No load explains a position that starts at once.
+        let starts = || self.starts_at_once().map(|travel| StopCause::Frozen { travel });
+        stands.map(|travel| self.stands(travel, error)).or_else(starts)
     }
 
     /// The same while the drive homes the axis, where the set-points are not known.
-    pub(crate) fn frozen_in_homing(&self) -> Option<f64> {
+    pub(crate) fn frozen_in_homing(&self) -> Option<StopCause> {
         let searching = self.state.homing == Homing::InProgress && self.state.power == Power::On;
         let by_drive = self.config.homing.is_none();
         let watched = searching && by_drive && self.state.age == 0 && self.config.frozen == FrozenWatch::Always;
-        self.stands_at_once().or(self.state.stalled).filter(|_| watched)
+        let travel = self.stands_at_once().or(self.state.stalled).filter(|_| watched)?;
+        Some(match self.state.torque_at_limit() {
+            Some((torque, limit)) => StopCause::Blocked { torque, limit, behind: travel, stands: true },
+            None => StopCause::Frozen { travel },
+        })
     }
 
     fn starts_at_once(&self) -> Option<f64> {

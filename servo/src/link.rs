@@ -159,10 +159,19 @@ pub enum StopCause {
     /// The following error, commanded minus measured position, exceeds the limit of the cell.
     #[error("following error {error:.4} rad exceeds {limit:.4} rad")]
     FollowingError { error: f64, limit: f64 },
+    /// The axis is blocked or overloaded: its torque is at its limit, and the axis does not follow. The measured
+    /// position does not change ([`Frozen`](Self::Frozen)) if `stands`, or the [following error](Self::FollowingError)
+    /// exceeds its limit. `behind` is the distance by which the motor lacks. The torque of a motor whose encoder fails
+    /// rises in the same way.
+    #[error(
+        "blocked or overloaded: torque {:.0} % of {limit:.2} N·m, {behind:.3} rad behind",
+        100.0 * (.torque / .limit).abs()
+    )]
+    Blocked { torque: f64, limit: f64, behind: f64, stands: bool },
     /// The encoder fails, or the axis is blocked. The measured position does not change by one increment. Meanwhile the
     /// set-points move by half the permitted following error, or no brake could have stopped the motor so abruptly. The
     /// power of this axis is removed at once, and the other axes brake.
-    #[error("measured position stands still, but the motor must have moved by {travel:.4} rad")]
+    #[error("measured position stands still, {travel:.4} rad expected")]
     Frozen { travel: f64 },
     /// The motor is faster than its position loop, closed by the servo, could make it: beyond `runaway_velocity`.
     #[error("motor runs away at {velocity:.1} rad/s, beyond {limit:.1} rad/s")]
@@ -268,9 +277,10 @@ pub enum StopCause {
 }
 
 impl StopCause {
-    /// Category of the stop. [`FollowingError`](Self::FollowingError) and [`NotBraking`](Self::NotBraking) of a loop that the
-    /// servo closes have category 0 instead, because such a loop cannot brake. `NotBraking` in a stop of homing has category
-    /// 0 too. A stop that [leaves its envelope](crate::ServoState) becomes stricter.
+    /// Category of the stop. [`FollowingError`](Self::FollowingError), [`Blocked`](Self::Blocked) by the following
+    /// error and [`NotBraking`](Self::NotBraking) of a loop that the servo closes have category 0 instead, because such
+    /// a loop cannot brake. `NotBraking` in a stop of homing has category 0 too. A stop that [leaves its
+    /// envelope](crate::ServoState) becomes stricter.
     ///
     /// A fault of an axis controller that opens the emergency-stop circuit of its cabinet has category 0: the drives open
     /// their power stages by themselves.
@@ -283,6 +293,7 @@ impl StopCause {
             | Self::FollowingError { .. }
             | Self::NotBraking { .. }
             | Self::Frozen { .. }
+            | Self::Blocked { .. }
             | Self::LimitSwitch { .. }
             | Self::PositionLimit { .. }
             | Self::NoRoomToStop { .. }

@@ -11,7 +11,8 @@
 //!
 //! An oscillation *grows* if each of the last [`GROWING`] swings is at least as long as the one before, the newest at
 //! least twice as long as the oldest, and the amplitude exceeds half of the permitted following error. A loop that the
-//! servo closes cannot brake such a motor.
+//! servo closes cannot brake such a motor. If such a motor first becomes faster than permitted, or too far from its
+//! set-point, the last [`RISING`] swings and the present way tell the oscillation from a motor that runs away.
 //!
 //! # Limits
 //! A set-point that turns its acceleration with each swing, such as weaving or a cycle law in contact, drives the error
@@ -24,6 +25,8 @@ use std::fmt;
 const SWINGS: usize = 8;
 /// Swings of an oscillation that grows.
 const GROWING: usize = 5;
+/// Swings of an oscillation that explains a motor that is too fast, or too far from its set-point.
+const RISING: usize = 3;
 /// Least length of a swing, increments. The resolution of an encoder makes swings of up to two increments.
 const LEAST: f64 = 8.0;
 /// Share of the oldest swing that the newest one must have, so that the oscillation does not fade.
@@ -158,6 +161,16 @@ impl OscillationWatch {
         (self.turned, self.extreme, self.rises) = (self.extreme, error, !self.rises);
         self.to_extreme = std::mem::take(&mut self.since_extreme);
         self.judge(bounds)
+    }
+
+    /// The oscillation of the last swings, if each is longer than the one before. The way since the last turning point
+    /// counts as the newest swing, whose duration is not known.
+    pub(crate) fn swings_up(&self, increments_per_radian: f64) -> Option<Oscillation> {
+        let closed = self.swings.get(..RISING).filter(|_| self.known >= RISING)?;
+        let newest = (self.extreme - self.turned).abs();
+        let grows = newest >= closed[0].length && closed.windows(2).all(|pair| pair[0].length >= pair[1].length);
+        let found = self.regular(closed, LEAST / increments_per_radian.abs()).filter(|_| grows)?;
+        Some(Oscillation { amplitude: 0.5 * newest, ..found })
     }
 
     fn judge(&self, bounds: &Bounds) -> Option<Finding> {

@@ -11,8 +11,9 @@ impl StopCause {
         Some(match self {
             Self::Drive(fault) => return fault.remedy(),
             Self::FollowingError { .. } => "look for a collision, a blocked brake, a high load or missing answers",
-            Self::Frozen { .. } => "check encoder, its cable and brake, then home",
-            Self::Runaway { .. } => "check encoder, sign of the axis and motor phases",
+            Self::Blocked { .. } => "free the axis, check brake, load, encoder, then home",
+            Self::Frozen { .. } => "check encoder, its cable and brake, look for an obstacle, then home",
+            Self::Runaway { .. } => "check encoder, sign of the axis, motor phases and gains",
             Self::Oscillates(_) => "check gains and load of the axis",
             Self::NotBraking { .. } => "check load and supply of the motor, and its current limit",
             Self::LimitSwitch { .. } => "move the axis off the switch by hand, check its limits",
@@ -48,7 +49,7 @@ impl HomingFailure {
             Self::NoSwitch { .. } | Self::SwitchNotLeft { .. } => "check home switch and its wiring",
             Self::SwitchPassed => return None,
             Self::NoIndex { .. } => "check the index of the encoder",
-            Self::TimedOut { .. } => "check brake, switches and homing speed",
+            Self::TimedOut { .. } => "look for an obstacle, check brake, switches and homing speed",
             Self::LimitSwitch { .. } => "check home switch and direction of homing",
         })
     }

@@ -129,12 +129,14 @@ fn the_servo_sees_a_blocked_motor_that_its_drive_overlooks() {
     rig.cycle();
     let mut motion = rig.in_motion();
     let (axis, cause) = fault_of(&mut rig, &mut motion);
-    let StopCause::FollowingError { error, limit } = cause else {
+    // The drive is at its limit of the current, beyond the rated torque.
+    let StopCause::Blocked { torque, limit, behind, stands: false } = cause else {
         panic!("{cause}");
     };
-    assert_eq!((axis, limit), (0, allowed));
+    assert_eq!((axis, limit), (0, rig.cell.robot[0].axis[0].drive.as_ref().unwrap().rated_torque));
+    assert!(torque > limit, "{torque}");
     let more = Motion::VELOCITY * rig.period.as_secs_f64();
-    assert!(error > limit && error < limit + 2.0 * more, "{error}");
+    assert!(behind > allowed && behind < allowed + 2.0 * more, "{behind}");
     resume(&mut rig);
 }
 

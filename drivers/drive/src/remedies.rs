@@ -10,6 +10,7 @@ use crate::cia401::IoFault;
 use crate::ultrasonic::UltrasonicFault;
 use crate::wrench::WrenchFault;
 
+const OVERLOAD: &str = "look for an obstacle, a closed brake or a high load";
 const BUS_CABLE: &str = "check cable, terminators and bit rate of the bus";
 const NODE_SUPPLY: &str = "check supply and bus cable of the node";
 const HOST_LATE: &str = "check the host with `mrroc doctor`";
@@ -49,9 +50,12 @@ impl Fault {
 const fn of_class(code: u16) -> &'static str {
     match code {
         0x0000..=0x00FF => "read 0x1001 and 0x1003 with `mrroc sdo`",
-        0x2000..=0x2FFF => "check motor cable, load and brake",
+        // Short circuits, leakages to earth, and output stages that protect themselves against them.
+        0x2130 | 0x2230 | 0x2240 | 0x2320 | 0x2330 | 0x2340 => "check motor cable and motor",
+        0x2000..=0x2FFF => "look for an obstacle, check load, brake, gains and motor cable",
         0x3000..=0x3FFF => "check the supply voltage",
         0x4000..=0x4FFF => "let it cool, check load and cooling",
+        0x7121 => OVERLOAD,
         0x7300..=0x73FF => "check encoder and encoder cable",
         0x7000..=0x7FFF => "check motor, brake and encoder",
         0x8100..=0x81FF => BUS_CABLE,
@@ -59,7 +63,8 @@ const fn of_class(code: u16) -> &'static str {
         0x8A80 | 0x8A81 => "move the axis off the switch, check switch and wiring",
         0x8A82 => "correct the motion, or the position limits of the drive",
         0x8A88..=0x8A8B => "check the STO circuit of the drive",
-        0x8300..=0x8FFF => "look for a collision, a blocked axis or a high load",
+        // Codes of maxon: system overloaded, system peak overloaded.
+        0x8300..=0x8FFF | 0xFF01 | 0xFF0B => OVERLOAD,
         _ => "see the manual of the drive",
     }
 }
@@ -89,7 +94,7 @@ impl AxisControllerFault {
             | Self::Cabinet { .. } => return None,
             Self::NotSent { .. } => "check the cable, and the host with `mrroc doctor`",
             Self::Frozen { .. } => "check encoder cable and brake, restart the drive",
-            Self::Overcurrent => "check motor cable, load and brake",
+            Self::Overcurrent => "look for an obstacle, check load, brake, gains and motor cable",
             Self::Error => "see what the drive displays, then reset it",
             Self::Refused(_) => "report this as a defect of the program",
         })
@@ -122,12 +127,12 @@ impl WrenchFault {
             | Self::Missing { .. }
             | Self::Incomplete { .. }
             | Self::Saturated { .. }
+            | Self::StillSaturated { .. }
             | Self::OfAnotherRate { .. }
             | Self::Status { .. }
             | Self::Line(_)
             | Self::LeftOperational => return None,
             Self::NotStarted | Self::Ended => "see why its line or bus was not brought up or ended",
-            | Self::StillSaturated { .. }
             Self::HeartbeatLost { .. } => "check supply and bus cable of the sensor",
             Self::HeartbeatNotSent { .. } => BUS_TAKES,
             Self::OtherController { .. } => ONE_CONTROLLER,

@@ -22,6 +22,11 @@ pub struct AxisState {
     pub velocity: f64,
     /// Motor torque, N·m; zero where the drive does not report it.
     pub torque: f64,
+    /// Torque, N·m, from which the motor counts as overloaded: its rated torque (object 0x6076), or the torque at which
+    /// its protection acts. Zero where unknown.
+    pub torque_limit: f64,
+    /// The drive reports that it limits the torque: bit 11 of the statusword, or the limit of the current.
+    pub torque_limited: bool,
     /// Whether the motor has torque.
     pub power: Power,
     /// Whether the position counter has its reference.
@@ -37,6 +42,22 @@ pub struct AxisState {
     pub fault: Option<Fault>,
     /// A reset of the fault brings the drive up again. Every step has a deadline, and the fault ends or changes at the end.
     pub recovering: bool,
+}
+
+/// Share of [`AxisState::torque_limit`] from which the torque counts as at its limit. The controller of a drive may
+/// keep the torque slightly below the limit.
+const AT_LIMIT: f64 = 0.9;
+
+/// The same share for a drive that reports a limit, which may be that of its speed.
+const AT_REPORTED_LIMIT: f64 = 0.5;
+
+impl AxisState {
+    /// Torque and its limit, N·m, if the torque is at its limit.
+    pub fn torque_at_limit(&self) -> Option<(f64, f64)> {
+        let share = if self.torque_limited { AT_REPORTED_LIMIT } else { AT_LIMIT };
+        let (torque, limit) = (self.torque, self.torque_limit);
+        (limit > 0.0 && torque.abs() >= share * limit).then_some((torque, limit))
+    }
 }
 
 /// Which switches of an axis are closed.
@@ -74,4 +95,28 @@ pub enum Homing {
     Attained,
     /// The search ended without a reference; leave [`AxisCommand::Home`](crate::AxisCommand::Home) to try again.
     Failed,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_torque_counts_as_at_its_limit_by_its_share_and_by_the_report_of_the_drive() {
+        for (torque, torque_limit, torque_limited, expected) in [
+            (0.37, 0.42, false, false),
+            (0.38, 0.42, false, true),
+            (-2.1, 0.42, false, true),
+            (0.2, 0.42, true, false),
+            (-0.22, 0.42, true, true),
+            (f64::NAN, 0.42, true, false),
+            // A drive whose limit is not known.
+            (2.1, 0.0, true, false),
+        ] {
+            let state = AxisState { torque, torque_limit, torque_limited, ..AxisState::default() };
+            let found = state.torque_at_limit();
+            assert_eq!(found.is_some(), expected, "{torque} of {torque_limit}, {torque_limited}");
+            assert!(found.is_none_or(|found| found == (torque, torque_limit)));
+        }
+    }
 }

@@ -2,8 +2,8 @@
 //!
 //! The line says where, what happened, what to check next, when, and which robots stopped in which category:
 //!
-//! `irb6: axis column: node 3: drive fault 0x2310 (over-current): check motor cable, load and brake [3.482 s, cycle 1741;
-//! category 1: irb6]`
+//! `irb6: axis column: node 3: drive fault 0x2310 (over-current): look for an obstacle, check load, brake, gains and
+//! motor cable [3.482 s, cycle 1741; category 1: irb6]`
 //!
 //! `remedies.rs` of the servo and of the drives have the phrases on what to check.
 

@@ -23,7 +23,7 @@ const OSCILLATION: Oscillation = Oscillation { frequency: 123.4, amplitude: 123.
 const WAITED: Duration = Duration::from_micros(150_250);
 
 /// Phrases of which each line has one: they say what a person does next.
-const NEXT: [&str; 23] = [
+const NEXT: [&str; 24] = [
     "check ",
     "see ",
     "read ",
@@ -42,6 +42,7 @@ const NEXT: [&str; 23] = [
     "restart",
     "unload ",
     "free the tool",
+    "free the axis",
     "zero the sensor",
     "bring the bus up",
     "switch it off",
@@ -65,6 +66,8 @@ fn of_drives() -> Vec<Fault> {
         Fault::Drive { node, code: 0x8250 },
         Fault::Drive { node, code: 0x8611 },
         Fault::Drive { node, code: 0xA123 },
+        Fault::Drive { node, code: 0x2320 },
+        Fault::Drive { node, code: 0xFF01 },
         Fault::Drive { node, code: 0xFF0B },
         Fault::Silent { node, cycles: 4 },
         Fault::NotSent { node, cycles: 4 },
@@ -181,10 +184,10 @@ fn of_sensors() -> Vec<WrenchFault> {
         F::Missing { missing: 30, of: 100 },
         F::Incomplete { samples: 7 },
         F::Saturated { axis, counts: -32_768 },
+        F::StillSaturated { axis, counts: -32_768 },
         F::OfAnotherRate { declared: Duration::from_millis(2), found: Duration::from_micros(2_500) },
         F::Status { status: 0x8000_0001 },
         F::Line(LineError::Gone),
-        F::StillSaturated { axis, counts: -32_768 },
         F::HeartbeatLost { waited },
         F::LeftOperational,
         F::HeartbeatNotSent { waited },
@@ -208,6 +211,7 @@ fn of_axes() -> Vec<StopCause> {
     let own = [
         C::FollowingError { error: -123.4567, limit: 12.0 },
         C::Frozen { travel: 123.4567 },
+        C::Blocked { torque: -123.45, limit: 12.34, behind: 123.4567, stands: true },
         C::BrakeSlips { travel: -123.4567 },
         C::Runaway { velocity: -1234.5, limit: 300.0 },
         C::Oscillates(OSCILLATION),
@@ -264,6 +268,7 @@ fn of_robots() -> Vec<StopCause> {
             C::Drive(_)
             | C::FollowingError { .. }
             | C::Frozen { .. }
+            | C::Blocked { .. }
             | C::BrakeSlips { .. }
             | C::Runaway { .. }
             | C::Oscillates(_)

@@ -46,8 +46,8 @@ impl Effector {
             if self.refused > 0 || self.held {
                 axis.was_refused();
             }
-            if let Some(travel) = axis.frozen_in_homing().filter(|_| homing) {
-                self.freeze(tick, index, travel);
+            if let Some(cause) = axis.frozen_in_homing().filter(|_| homing) {
+                self.freeze(tick, index, cause);
                 continue;
             }
             if !axis.is_watched() || !commanding && !axis.is_led() {
@@ -55,7 +55,8 @@ impl Effector {
             }
             if let Some((velocity, limit)) = axis.runaway() {
                 self.axes[index].doubted = true;
-                self.lose(tick, index, StopCause::Runaway { velocity, limit });
+                let swings = self.axes[index].swings_up().map(StopCause::Oscillates);
+                self.lose(tick, index, swings.unwrap_or(StopCause::Runaway { velocity, limit }));
                 continue;
             }
             if tick.overrun.is_some() && axis.is_host_closed() {
@@ -71,8 +72,8 @@ impl Effector {
             }
             let searching = matches!(self.state, ServoState::Homing | ServoState::Halting(_))
                 && axis.config.frozen == FrozenWatch::Always;
-            if let Some(travel) = axis.frozen(error).filter(|_| commanding || searching) {
-                self.freeze(tick, index, travel);
+            if let Some(cause) = axis.frozen(error).filter(|_| commanding || searching) {
+                self.freeze(tick, index, cause);
                 continue;
             }
             let beyond = error.abs() > limit;
@@ -80,7 +81,8 @@ impl Effector {
             let sense = if beyond { error } else { axis.knot.velocity };
             let judged = commanding && (beyond || sense.abs() > CREEP);
             let switch = axis.limit_switch(sense).filter(|_| judged);
-            let cause = StopCause::FollowingError { error, limit };
+            let cause =
+                if beyond { self.axes[index].not_following(error) } else { StopCause::FollowingError { error, limit } };
             let beyond = beyond || error.is_nan();
             if let Some(upper) = switch {
                 // The drive itself stops this axis at the switch, and the loop of the axis works. The servo brakes the
@@ -109,10 +111,10 @@ impl Effector {
         }
     }
 
-    /// Cuts the power of axis `index`, whose measured position stands still although its motor must have moved by
-    /// `travel`, rad. No loop can brake such an axis. The other axes brake. The counter may have lost counts.
-    fn freeze(&mut self, tick: &Tick, index: usize, travel: f64) {
+    /// Cuts the power of axis `index`, whose measured position stands still although its motor must have moved. No loop
+    /// can brake such an axis. The other axes brake. The counter may have lost counts.
+    fn freeze(&mut self, tick: &Tick, index: usize, cause: StopCause) {
         (self.axes[index].cut, self.axes[index].doubted) = (true, true);
-        self.fail(tick, index, StopCause::Frozen { travel });
+        self.fail(tick, index, cause);
     }
 }

@@ -35,8 +35,14 @@ const NO_LOOP: &str = "the rehearsal closes no loop";
 const LATE: &str = "the run finds out how late a device answers";
 
 /// Faults of a badly tuned loop.
-const OF_A_LOOP: &[&str] =
-    &["following error", "overcurrent protection acted", "motor runs away", "measured position stands still"];
+const OF_A_LOOP: &[&str] = &[
+    "following error",
+    "overcurrent protection acted",
+    "motor runs away",
+    "measured position stands still",
+    "blocked or overloaded",
+    "unstable loop",
+];
 
 const EXCEPTIONS: &[Exception] = &[
     refused("robot.axis.emulator.vendor", &["identity 0x1018:01"], OTHER_DRIVE),
@@ -65,7 +71,11 @@ const EXCEPTIONS: &[Exception] = &[
         "the objects of a sensor are in the sensor",
     ),
     faulted("force_sensor.position", &["is saturated"], "the torque of the tool at the sensor is known in a run only"),
-    faulted("scene.", &["following error"], "the rehearsal has no surroundings in which the arm is blocked"),
+    faulted(
+        "scene.",
+        &["following error", "blocked or overloaded"],
+        "the rehearsal has no surroundings in which the arm is blocked",
+    ),
     refused("camera.width", &["pixels, declared were"], OTHER_DRIVE),
     refused("camera.period_ms", &["a picture every"], OTHER_DRIVE),
     refused(
@@ -104,7 +114,7 @@ const EXCEPTIONS: &[Exception] = &[
     faulted("period_us", OF_A_LOOP, NO_LOOP),
     faulted(
         "robot.parameters.",
-        &["following error"],
+        &["following error", "blocked or overloaded"],
         "the weight that is fed forward has the geometry of the cell, and the emulated mechanism that of the model",
     ),
     faulted("robot.axis.controller.loop.", OF_A_LOOP, NO_LOOP),

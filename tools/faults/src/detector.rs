@@ -80,7 +80,8 @@ impl Detector {
         Some(match cause {
             StopCause::Drive(fault) => Self::of_drive(fault)?,
             StopCause::FollowingError { .. } | StopCause::NotBraking { .. } => Self::FollowingError,
-            StopCause::Frozen { .. } => Self::Frozen,
+            StopCause::Frozen { .. } | StopCause::Blocked { stands: true, .. } => Self::Frozen,
+            StopCause::Blocked { stands: false, .. } => Self::FollowingError,
             StopCause::BrakeSlips { .. } => Self::Brake,
             StopCause::Runaway { .. } | StopCause::Oscillates(_) => Self::Runaway,
             StopCause::LimitSwitch { .. } => Self::LimitSwitches,

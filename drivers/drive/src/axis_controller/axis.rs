@@ -63,6 +63,8 @@ pub(super) struct Setup {
     pub(super) dialect: Dialect,
     scale: Scale,
     torque_constant: f64,
+    /// Torque at which the overcurrent protection acts, N·m.
+    torque_limit: f64,
     /// Greatest set-point, in the units of the drive.
     full_scale: i16,
     /// Greatest plausible current, mA.
@@ -114,6 +116,7 @@ impl SerialAxis {
             dialect,
             scale: config.scale,
             torque_constant: config.torque_constant,
+            torque_limit: config.max_current * config.torque_constant,
             full_scale: match config.control {
                 Control::Current => limit,
                 Control::Pwm => serial::nfv2::FULL_PWM,
@@ -281,6 +284,7 @@ impl SerialAxis {
         self.state.position = scale.position(measured.position);
         self.state.velocity = self.position_check.velocity() / scale.increments_per_radian();
         self.state.torque = scale.torque_of(measured.current, self.setup.torque_constant);
+        self.state.torque_limit = self.setup.torque_limit;
     }
 
     /// Ends the reading of a cycle. `due` says whether the cycle before asked for an answer. Returns the state, and
@@ -311,6 +315,7 @@ impl SerialAxis {
                 (Reference::Unknown | Reference::Invalid, false) => Homing::NotHomed,
             },
             following: power == Power::On && !self.faults.is_latched(),
+            torque_limited: status.any(Status::CURRENT_LIMITED),
             switches: Switches {
                 home: status.any(Status::HOME_SWITCH),
                 lower_limit: status.any(Status::LOWER_LIMIT),

@@ -199,6 +199,8 @@ impl CanAxis {
             self.state.sampled = sampled;
         }
         self.state.torque = self.config.scale.torque(answer.torque, self.config.rated_torque);
+        self.state.torque_limit = self.config.rated_torque;
+        self.state.torque_limited = self.statusword.has(Statusword::INTERNAL_LIMIT);
         self.judge_power(before);
     }
 

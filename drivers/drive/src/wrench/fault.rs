@@ -35,8 +35,8 @@ pub enum WrenchFault {
     /// CAN: too many samples are missing, and `samples` of them lacked a frame, or had a frame after the next SYNC.
     #[error("{samples} samples without all their frames: reduce the load of the bus, or check the PDOs of the sensor")]
     Incomplete { samples: u32 },
-    /// The reading went beyond the configured range after readings within it: a contact of the tool, or a load that was added.
-    /// The true load may be greater.
+    /// The reading went beyond the configured range after readings within it: a contact of the tool, or a load that was
+    /// added. The true load may be greater.
     #[error("{axis} went beyond its range to {counts} counts: look for what the tool touches, then reset the fault")]
     Saturated { axis: WrenchAxis, counts: i32 },
     /// The reading is still beyond the configured range after a reset.

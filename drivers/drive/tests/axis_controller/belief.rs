@@ -31,6 +31,24 @@ fn switches_are_said_and_are_no_fault() {
 }
 
 #[test]
+fn a_torque_is_at_its_limit_near_the_protection_or_where_the_drive_limits_its_current() {
+    for (protocol, status, current, expected) in [
+        (Protocol::Nfv2, 0, 13_400, false),
+        (Protocol::Nfv2, 0, -13_600, true),
+        (Protocol::HiMoxa, 0, 13_600, true),
+        (Protocol::Nfv2, Status::CURRENT_LIMITED, 7_600, true),
+        (Protocol::Nfv2, Status::CURRENT_LIMITED, 7_400, false),
+    ] {
+        let mut rig = Rig::on(Drive::new(protocol, 8));
+        (rig.drive().status, rig.drive().current) = (status, current);
+        // A status counts when two answers show it.
+        let state = rig.run(6, AxisCommand::Stand);
+        assert!((state.torque_limit - 1.5).abs() < 1e-9, "{}", state.torque_limit);
+        assert_eq!(state.torque_at_limit().is_some(), expected, "{protocol:?} {status:#x} {current} mA");
+    }
+}
+
+#[test]
 fn an_implausible_answer_counts_as_missing() {
     for protocol in BOTH {
         let mut rig = Rig::on(Drive::new(protocol, 8));

@@ -55,6 +55,31 @@ fn a_loop_closed_by_the_servo_loses_power_when_its_oscillation_grows() {
     assert!(text.contains("axis 0: unstable loop swings up: "), "{text}");
 }
 
+/// The motor becomes too fast before the amplitude counts as grown.
+#[test]
+fn a_loop_that_is_too_stiff_swings_up_and_is_not_told_as_a_motor_that_runs_away() {
+    let mut config = scripted::host_config(1);
+    let axis = &mut config.effectors[0].axes[0];
+    (axis.following_error, axis.max_velocity) = (500.0, 40.0);
+    change(axis, |host| {
+        host.runaway_velocity = 45.0;
+        let Law::Cascade(law) = &mut host.law else { unreachable!("made by host_config") };
+        (law.velocity_gain, law.position_gain) = (0.2 * law.velocity_gain, 6.0 * law.position_gain);
+        law.integral_rate *= 12.0;
+    });
+    let mut rig = Rig::with(&config).stand();
+    rig.world().axes[0].load = 0.02;
+    for _ in 0..20_000 {
+        rig.run(1);
+        if rig.cause().is_some() {
+            break;
+        }
+    }
+    let found: Vec<_> = rig.servo.oscillations(0).collect();
+    assert!(matches!(rig.cause(), Some(StopCause::Oscillates(_))), "{:?}, {found:?}", rig.cause());
+    assert_eq!(rig.servo.fault(0).unwrap().category, StopCategory::Zero);
+}
+
 #[test]
 fn a_sound_loop_that_moves_and_stands_never_oscillates() {
     for config in host_loops::laws(1) {

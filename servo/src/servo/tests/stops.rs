@@ -130,6 +130,67 @@ fn a_blocked_motor_stops_the_effector() {
     keeps_limits(&rig.positions(0)).unwrap();
 }
 
+/// The torque of a motor, its limit, N·m, and whether the drive reports a limit.
+fn load(rig: &Rig, axis: usize, torque: f64, torque_limit: f64, torque_limited: bool) {
+    let state = &mut rig.world().axes[axis].state;
+    (state.torque, state.torque_limit, state.torque_limited) = (torque, torque_limit, torque_limited);
+}
+
+#[test]
+fn a_motor_that_stands_still_with_its_torque_at_the_limit_is_blocked_or_overloaded() {
+    for (torque, limit, limited, blocked) in [
+        (2.1, 0.42, false, true),
+        (0.4, 0.42, false, true),
+        // The motor does not push towards its set-point.
+        (-2.1, 0.42, false, false),
+        (0.25, 0.42, true, true),
+        (0.25, 0.42, false, false),
+        (2.1, 0.0, true, false),
+    ] {
+        let mut rig = Rig::standing(2);
+        rig.accelerate(500.0, 4, 50);
+        rig.run(50);
+        load(&rig, 1, torque, limit, limited);
+        rig.world().axes[1].blocked = true;
+        rig.run_until(Phase::Faulted);
+        let fault = rig.servo.fault(0).unwrap();
+        assert_eq!(fault.axis, Some(1));
+        match fault.cause {
+            StopCause::Blocked { torque: found, limit: of, behind, stands: true } if blocked => {
+                assert_eq!((found, of), (torque, limit));
+                assert!(behind > 0.0, "{behind}");
+            }
+            StopCause::Frozen { .. } if !blocked => {}
+            other => panic!("{torque} of {limit}: {other}"),
+        }
+        assert_eq!(fault.to_string().contains("axis 1: blocked or overloaded: torque "), blocked, "{fault}");
+    }
+}
+
+#[test]
+fn a_following_error_with_the_torque_at_its_limit_is_that_of_a_blocked_or_overloaded_axis() {
+    let mut config = scripted::config(1);
+    config.effectors[0].axes[0].following_error = 0.019;
+    // Torque, N·m, and whether the motor moves away from its set-point.
+    for (torque, leaves, blocked) in [(0.1, false, false), (0.42, false, true), (0.42, true, false)] {
+        let mut rig = Rig::with(&config).stand();
+        load(&rig, 0, torque, 0.42, false);
+        rig.world().axes[0].lags = true;
+        rig.world().axes[0].drifts_at = leaves.then_some(-20.0);
+        rig.accelerate(500.0, 4, 2);
+        rig.run(55);
+        let text = rig.servo.fault(0).unwrap().to_string();
+        match rig.cause() {
+            Some(StopCause::Blocked { behind, stands: false, .. }) if blocked => {
+                assert!(behind > 0.019, "{behind}");
+                assert_eq!(text, "axis 0: blocked or overloaded: torque 100 % of 0.42 N·m, 0.019 rad behind");
+            }
+            Some(StopCause::FollowingError { .. }) if !blocked => {}
+            other => panic!("{torque} {leaves}: {other:?}"),
+        }
+    }
+}
+
 #[test]
 fn a_drive_fault_brakes_the_other_axes_before_power_goes() {
     let mut rig = Rig::standing(3);

@@ -47,6 +47,24 @@ fn a_cycle_is_one_sync_and_then_one_rpdo_per_axis() {
 }
 
 #[test]
+fn a_torque_at_the_rated_one_or_at_a_limit_that_the_drive_reports_is_at_its_limit() {
+    let mut bench = Bench::up(&[2]);
+    bench.enable();
+    // Statusword with and without bit 11, and thousandths of the rated torque of 0.1 N·m.
+    for (answer, expected) in [
+        ("182#3707D0070000F401", None),
+        ("182#370FD0070000F401", Some(0.05)),
+        ("182#370FD00700002C01", None),
+        ("182#3707D007000018FC", Some(-0.1)),
+    ] {
+        bench.cycle(&[answer], &[follow(2_001.0)]);
+        let found = bench.states[0].torque_at_limit();
+        assert_eq!(found.map(|(torque, _)| (torque * 1e3).round() / 1e3), expected, "{answer}");
+        assert!(found.is_none_or(|(_, limit)| (limit - 0.1).abs() < 1e-12));
+    }
+}
+
+#[test]
 fn set_points_go_out_as_increments_and_answers_come_in_as_radians() {
     let mut bench = Bench::up(&[2]);
     bench.enable();
