@@ -223,6 +223,9 @@ fn check(cell: &Path, task: CarriedTask, json: bool) -> anyhow::Result<ExitCode>
             "mrroc: {problem}; only for robots that are wired otherwise than the emulated ones"
         ));
     }
+    for warning in &checked.warnings {
+        streams::warn(format_args!("mrroc: {warning}"));
+    }
     streams::answer(&checked, json)
 }
 

@@ -26,6 +26,8 @@ pub struct CheckReport {
     io: Vec<CheckedIo>,
     /// Functions that the cell needs and its emulation lacks. Real robots may have them.
     pub problems: Vec<String>,
+    /// Axes that the task overloads by nominal masses or limits.
+    pub warnings: Vec<String>,
 }
 
 #[derive(Debug, Serialize)]
@@ -73,6 +75,7 @@ pub fn check(file: &CellFile, program: &Program) -> anyhow::Result<CheckReport> 
     let program = &program.clone().with_operator(OperatorLink::new(1).0);
     let buses = budget::check(file)?;
     let rehearsed = rehearsal::rehearse(file, program)?;
+    let warnings = rehearsed.overloads(file)?;
     assemble(file, program, &rehearsed)?;
     let robots = file.cell.robot.iter().enumerate().map(|(number, robot)| CheckedRobot {
         name: robot.name.clone(),
@@ -88,6 +91,7 @@ pub fn check(file: &CellFile, program: &Program) -> anyhow::Result<CheckReport> 
         buses,
         io: file.cell.io.iter().map(CheckedIo::of).collect(),
         problems: emulation::problems(file).map(|problem| problem.to_string()).collect(),
+        warnings,
     })
 }
 

@@ -33,6 +33,7 @@ use drive::{AxisCommand, AxisState, BringUpError, DriveGroup, Fault, GroupCounte
 use servo::{PositionLoop, Servo, lockstep};
 
 use crate::cell::{CellFile, Path, instruction_path};
+use crate::demand::{self, Demand, RobotDemand};
 use crate::tasks::{Equipment, Figures, Program, TaskError};
 use crate::{run::returned, setup, streams};
 
@@ -57,6 +58,18 @@ pub struct Rehearsed {
     pub instructions: u64,
     /// Whether a generator commanded each robot.
     pub(crate) moved: Vec<bool>,
+    /// A torque that cannot be had, by numbers that the user gave.
+    pub(crate) refused: Option<Demand>,
+    /// The greatest torque of each axis beyond its limit.
+    pub(crate) overloads: Vec<Demand>,
+}
+
+impl Rehearsed {
+    /// Warnings of axes that the task overloads by nominal numbers, or the refusal of such a task by numbers that the
+    /// user gave. Both concern emulated robots, with their payloads and their surroundings.
+    pub fn overloads(&self, file: &CellFile) -> anyhow::Result<Vec<String>> {
+        demand::judge(file, self.refused.as_ref(), &self.overloads)
+    }
 }
 
 /// The part of a robot's course in a run that a rehearsal repeats.
@@ -165,6 +178,10 @@ fn run(
         axis.homing = None;
     }
     let (mut servo, links) = Servo::new(&config, groups.collect())?;
+    let states: Vec<_> = links.iter().map(|link| link.latest.clone()).collect();
+    let judged = 0..if extent == Extent::Task { courses.len() } else { 0 };
+    let mut demands: Vec<_> = judged.map(|robot| RobotDemand::of(file, robot, program.of_file)).collect();
+    let dt = servo.period().as_secs_f64();
     let (mut rehearsed_sensors, sensor_links) = setup::rehearsed_sensors(file);
     let (mut rehearsed_matrices, matrices) = setup::rehearsed_matrices(file);
     let sensors = setup::force_sensors(file, &sensor_links, &links);
@@ -190,6 +207,9 @@ fn run(
         &mut servo,
         start,
         |now| {
+            for (demand, state) in demands.iter_mut().zip(&states) {
+                demand.observe(file, &state.read(), now.since(start), dt);
+            }
             nodes.iter_mut().for_each(|node| node.advance(now));
             rehearsed_matrices.iter_mut().for_each(|matrix| matrix.advance(now));
             for (rehearsed, sensor) in rehearsed_sensors.iter_mut().zip(&sensors) {
@@ -242,7 +262,9 @@ fn run(
         }
         None => {}
     }
-    Ok(Rehearsed { duration, instructions: ended.iter().sum(), moved })
+    let (refused, overloads): (Vec<_>, Vec<_>) = demands.into_iter().map(RobotDemand::found).unzip();
+    let (refused, overloads) = (refused.into_iter().flatten().next(), overloads.into_iter().flatten().collect());
+    Ok(Rehearsed { duration, instructions: ended.iter().sum(), moved, refused, overloads })
 }
 
 /// The refusal of an instruction.

@@ -52,6 +52,7 @@ mod no_acknowledge;
 mod oscillations;
 mod outputs;
 mod outside;
+mod overload;
 mod random;
 mod ranging;
 mod reaction;

@@ -48,7 +48,8 @@ pub enum PlantConfig {
 }
 
 impl PlantConfig {
-    pub(crate) fn torque_constant(&self) -> f64 {
+    /// Torque per current, N·m/A.
+    pub fn torque_constant(&self) -> f64 {
         match self {
             Self::Wut(wut) => wut.torque_constant,
             Self::Physical(motor) => motor.torque_constant,

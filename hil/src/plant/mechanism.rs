@@ -198,6 +198,20 @@ impl Mechanism {
         Load { torque: loaded.links.torque, inertia: loaded.inertia() }
     }
 
+    /// Load on each motor with the motor shafts at these `angles`, rad. The pose of the mechanism does not change.
+    pub fn loads_at(&self, angles: &[f64]) -> Vec<Load> {
+        let mut robot = self.lock().clone();
+        let (homes, count) = (robot.homes, robot.count);
+        let placed = angles.iter().zip(homes).map(|(angle, home)| angle - home);
+        robot.motors.iter_mut().zip(placed).take(count).for_each(|(motor, placed)| *motor = placed);
+        let motors = robot.motors;
+        if let Links::Rnt(rnt) = &mut robot.links {
+            rnt.settle(&motors);
+        }
+        let load = |loaded: Loaded| Load { torque: loaded.links.torque, inertia: loaded.inertia() };
+        (0..robot.count).map(|number| load(robot.load(number))).collect()
+    }
+
     /// Unit vector against gravity in the base frame. The origin of that frame depends on the robot:
     ///
     /// * IRb-6 and IRp-6: the shoulder, z up. On the track: the place of the shoulder with the carriage at zero. The

@@ -47,7 +47,7 @@ impl Gravity {
     pub const NONE: Self = Self { amplitude: 0.0, ratio: 1.0, phase: 0.0 };
 
     /// Torque on the motor at `angle`, rad.
-    pub(crate) fn torque(&self, angle: f64) -> f64 {
+    pub fn torque(&self, angle: f64) -> f64 {
         self.amplitude * (angle / self.ratio + self.phase).cos()
     }
 }

@@ -147,6 +147,11 @@ pub fn plant(file: &CellFile, robot: usize, number: usize) -> AxisConfig {
         ..preset
     };
     plant.amplifier.setpoint_filter = axis.emulator.setpoint_filter_s;
+    if let Some(most) = axis.drive.as_ref().and_then(|drive| drive.max_torque) {
+        let current = most / plant.plant.torque_constant();
+        plant.amplifier.trip_current *= current / plant.amplifier.max_current;
+        plant.amplifier.max_current = current;
+    }
     if let PlantConfig::Physical(motor) = &mut plant.plant {
         let share = axis.emulator.dry_friction.unwrap_or(1.0);
         motor.friction.coulomb *= share;

@@ -325,6 +325,8 @@ pub struct Drive {
     pub reversed: bool,
     /// Rated torque of the motor, N·m. The drive's torque values are thousandths of it.
     pub rated_torque: f64,
+    /// Greatest torque of motor and drive, N·m, for `mrroc check` and the emulated drive; a nominal one where absent.
+    pub max_torque: Option<f64>,
     /// The quantity commanded to the drive.
     #[serde(default)]
     pub control: DriveControl,

@@ -75,7 +75,7 @@ fn example_cells_parse_and_their_programs_can_be_built() {
 
 #[test]
 fn a_refusal_names_line_key_and_reason() {
-    let cases: [(&str, &str, &str, &str); 36] = [
+    let cases: [(&str, &str, &str, &str); 37] = [
         (
             "node = 1",
             "emulator = { counts_per_revolution = 3 }\nnode = 1",
@@ -89,6 +89,12 @@ fn a_refusal_names_line_key_and_reason() {
             "between 1e-6 and 4294",
         ),
         ("method = 11", "method = 12", "robot[0].axis[0].homing.method", "must be 37, 34,"),
+        (
+            "rated_torque = 0.42 }",
+            "rated_torque = 0.42, max_torque = 0.4 }",
+            "robot[0].axis[0].drive.max_torque",
+            "rated_torque at the least",
+        ),
         (
             "search_velocity = 15.0",
             "search_velocity = 1500.0",

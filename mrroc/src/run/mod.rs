@@ -146,6 +146,10 @@ pub fn run(
         set.map_err(|_| anyhow!("--speed is a percentage above 0 and at most 100, not {percent}"))?;
     }
     let rehearsed = rehearsal::rehearse(file, program)?;
+    // Payloads and surroundings of the cell file are those of emulated robots.
+    if matches!(options.bench, BenchKind::Lockstep | BenchKind::Emulated) {
+        rehearsed.overloads(file)?.iter().for_each(|warning| streams::warn(format_args!("mrroc: {warning}")));
+    }
     if options.trace.is_some() && file.cell.bus.is_empty() {
         streams::warn("--trace stays empty: it has the frames of CAN buses, and the cell has none");
     }

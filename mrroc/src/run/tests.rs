@@ -39,7 +39,13 @@ impl Stage {
         let faults = [Arc::default(), Arc::default()];
         let drives = |bus| Box::new(IdealDrives::of(&file, bus, &courses, &faults)) as Box<dyn DriveGroup>;
         let (mut servo, links) = Servo::new(&setup::servo_config(&file), vec![drives(0), drives(1)]).unwrap();
-        let rehearsed = Rehearsed { duration: Duration::ZERO, instructions: 8, moved: vec![moved; 2] };
+        let rehearsed = Rehearsed {
+            duration: Duration::ZERO,
+            instructions: 8,
+            moved: vec![moved; 2],
+            refused: None,
+            overloads: Vec::new(),
+        };
         let task = RunningTask::new(
             &file,
             program,

@@ -218,6 +218,22 @@ fn rnt_hangs_in_equal_shares_from_upright_legs() {
 }
 
 #[test]
+fn loads_of_another_pose_are_those_of_a_robot_that_stands_there() {
+    for config in ROBOTS {
+        let motors: Vec<_> = (0..Mechanism::new(config).axes()).map(|number| 3.0 - number as f64).collect();
+        let (here, there) = (posed(config, &vec![0.0; motors.len()]), posed(config, &motors));
+        let before: Vec<_> = (0..motors.len()).map(|number| here.load(number)).collect();
+        let angles: Vec<_> = motors.iter().map(|motor| 100.0 + motor).collect();
+        for (number, load) in here.loads_at(&angles).into_iter().enumerate() {
+            let expected = there.load(number);
+            check(load.torque, expected.torque, &format!("{config:?}, torque of axis {number}"));
+            check(load.inertia, expected.inertia, &format!("{config:?}, inertia of axis {number}"));
+            assert_eq!(here.load(number), before[number], "{config:?}, axis {number} has not moved");
+        }
+    }
+}
+
+#[test]
 fn payload_weighs_on_every_axis_that_lifts_it() {
     let angle = -60_f64.to_radians();
     let mechanism = posed(MechanismConfig::Irp6, &[0.0, lower_motor(angle)]);

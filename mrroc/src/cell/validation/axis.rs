@@ -191,6 +191,8 @@ fn check_emulator(path: &Path, axis: &Axis, place: Place<'_>, model: Limits, hom
 fn check_drive(path: &Path, period: Duration, drive: &Drive, axis: &Axis) -> Checked {
     // The unit of object 0x6076 is 1 mN·m, for maxon's drives 1 µN·m.
     within(path, "rated_torque", drive.rated_torque, Range::new(1e-3, STRONGEST, "N·m"))?;
+    let most = drive.max_torque.unwrap_or(drive.rated_torque);
+    within(path, "max_torque", most, Range::new(drive.rated_torque, STRONGEST, "N·m; rated_torque at the least"))?;
     let acceleration = Range::new(axis.max_acceleration, 1e9, "rad/s²; max_acceleration at the least");
     let given = drive.plausible_acceleration.unwrap_or(axis.max_acceleration);
     within(path, "plausible_acceleration", given, acceleration)?;
