@@ -90,6 +90,11 @@ const EXCEPTIONS: &[Exception] = &[
     refused("robot.axis.drive.revision", &["identity 0x1018:03"], OTHER_DRIVE),
     refused("robot.axis.node", &["answers as address"], OTHER_DRIVE),
     refused("robot.axis.drive.rated_torque", &["of rated torque, the cell says"], OTHER_DRIVE),
+    faulted(
+        "robot.axis.drive.max_torque",
+        &["blocked or overloaded", "following error", "measured position stands still"],
+        "an overload by nominal masses is a warning, and the emulated drive keeps the limit",
+    ),
     refused(
         "robot.axis.drive.counts_per_revolution",
         &["quadrature counts per revolution, the cell says"],

@@ -80,6 +80,7 @@ fn on_can(cell: &mut Cell) {
     let drive = axis.drive.as_mut().expect("a drive on CAN");
     (drive.product, drive.revision) = (Some(0x6150_0000), Some(0x0170_0000));
     drive.plausible_acceleration = Some(1e5);
+    drive.max_torque = Some(2.0);
     drive.dcf = Some(DCF.into());
     drive.parameter = vec![Parameter { index: 0x6081, subindex: 0, value: 1_000, bytes: 4 }];
     drive.emergency_stop = Some(EmergencyContact { input: 16, emulated_edges_s: vec![1e5] });
