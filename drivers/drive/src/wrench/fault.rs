@@ -77,6 +77,7 @@ impl WrenchFault {
             Fault::BusOff => Self::BusOff,
             Fault::Drive { .. }
             | Fault::Silent { .. }
+            | Fault::Late { .. }
             | Fault::NotSent { .. }
             | Fault::NotAcknowledged { .. }
             | Fault::HeartbeatLost { .. }
