@@ -6,8 +6,9 @@ use canopen::pdo::PdoNumber;
 use canopen::{NodeId, cob};
 use serde_json::Value;
 
-/// Times between SYNCs from the second on and, for each axis, from SYNC to the answer, in ascending order, µs. They are computed from
-/// `frames`, a complete recording. The answers to the last SYNC are left out. The first SYNC is that of bring-up.
+/// Times between SYNCs from the second on and, for each axis, from SYNC to the answer, in ascending order, µs. They are
+/// computed from `frames`, a complete recording. The answers to the last SYNC are left out. The first SYNC is that of
+/// bring-up.
 pub fn times(cell: &Cell, frames: &[Received]) -> (Vec<f64>, Vec<Vec<f64>>) {
     let is = |received: &Received, id| received.frame.standard_data_id() == Some(id);
     let cycles: Vec<&[Received]> = frames.split_inclusive(|received| is(received, cob::SYNC)).skip(1).collect();
