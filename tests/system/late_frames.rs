@@ -174,3 +174,15 @@ fn a_constant_delay_is_refused_or_a_fault_where_the_host_closes_the_loop() {
         };
     }
 }
+
+#[test]
+fn answers_that_come_twice_are_counted_and_told_with_their_node() {
+    let mut rig = Setup::of("irb6").bring_up();
+    let frames = Frames::Id(StandardId::new(0x183).unwrap());
+    let (fault, count) = (FrameFault::Duplicated, Some(40));
+    let twice = WorldFault::Frames { bus: rig.bus(), frames, fault, probability: 1.0, count, seed: 1 };
+    assert_eq!(move_under(&mut rig, &[twice]), None);
+    let warnings = rig.servo.warnings().flat_map(|warnings| warnings.iter());
+    let told: Vec<_> = warnings.map(|it| (it.node, it.cause, it.count)).collect();
+    assert_eq!(told, [(3, WarningCause::Surplus, 40)]);
+}
