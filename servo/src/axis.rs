@@ -344,7 +344,7 @@ impl ServoAxis {
         let velocity = host.measured_velocity;
         // The sample shows the command of `delay` cycles ago. The newest command is one cycle old.
         let missed = missed.min(MOST_EXTRAPOLATED);
-        let shown = self.delay - 1 + self.state.age as usize + missed as usize;
+        let shown = self.delay - 1 + (self.state.age + self.state.lag) as usize + missed as usize;
         self.commanded = std::array::from_fn(|age| self.state.position + velocity * dt * (shown as f64 - age as f64));
         self.knot = Knot::new(self.commanded[0], velocity);
         host.follow(self.commanded, velocity);
@@ -379,7 +379,7 @@ impl ServoAxis {
     /// Whether a sample taken under a set-point exists. The check does not require that the drive follows: a drive
     /// that does not follow is detected by its growing error.
     pub(crate) fn is_watched(&self) -> bool {
-        self.followed >= self.delay
+        self.followed >= self.delay + self.state.lag as usize
     }
 
     /// Following error, rad: commanded minus measured position, for the command whose effect the sample shows.
@@ -388,7 +388,8 @@ impl ServoAxis {
             return host.error(&self.state);
         }
         // `commanded` does not contain this cycle's command yet; its newest entry is one period old.
-        let age = (self.delay - 1).saturating_add(self.state.age as usize).min(REMEMBERED - 1);
+        let periods = self.state.age.saturating_add(self.state.lag) as usize;
+        let age = (self.delay - 1).saturating_add(periods).min(REMEMBERED - 1);
         self.commanded[age] - self.state.position
     }
 

@@ -560,11 +560,18 @@ impl Rig {
 
 /// The drive group of a robot on CAN, its world and its period, without a servo.
 pub fn ends(setup: Setup) -> (Box<dyn DriveGroup>, World, Duration) {
+    let (group, world, period, _) = ends_on_bus(setup);
+    (group, world, period)
+}
+
+/// As [`ends`], with the bus.
+pub fn ends_on_bus(setup: Setup) -> (Box<dyn DriveGroup>, World, Duration, BusId) {
     let arm = setup.cell.robot[0].arm().expect("parameters are sound");
     let period = setup.period();
     let mut world = World::new();
-    let (group, ..) = setup.bus(&arm, &mut world);
-    (group, world, period)
+    let (group, drives, ..) = setup.bus(&arm, &mut world);
+    let DriveId::Node(first) = drives[0] else { panic!("the robot is on serial lines") };
+    (group, world, period, first.bus())
 }
 
 /// Brings a robot up behind a port that records every frame.

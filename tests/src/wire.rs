@@ -6,15 +6,16 @@ use canopen::pdo::PdoNumber;
 use canopen::{NodeId, cob};
 use serde_json::Value;
 
-/// Times between SYNCs and, for each axis, from SYNC to the answer, in ascending order, µs. They are computed from
-/// `frames`, a complete recording. The answers to the last SYNC are left out.
+/// Times between SYNCs from the second on and, for each axis, from SYNC to the answer, in ascending order, µs. They are
+/// computed from `frames`, a complete recording. The answers to the last SYNC are left out. The first SYNC is that of
+/// bring-up.
 pub fn times(cell: &Cell, frames: &[Received]) -> (Vec<f64>, Vec<Vec<f64>>) {
     let is = |received: &Received, id| received.frame.standard_data_id() == Some(id);
     let cycles: Vec<&[Received]> = frames.split_inclusive(|received| is(received, cob::SYNC)).skip(1).collect();
     let micros = |from: Instant, to: Instant| to.since(from).as_nanos() as f64 / 1e3;
     let syncs = frames.iter().filter(|received| is(received, cob::SYNC));
     let syncs: Vec<_> = syncs.map(|received| received.at).collect();
-    let mut apart: Vec<_> = syncs.windows(2).map(|two| micros(two[0], two[1])).collect();
+    let mut apart: Vec<_> = syncs.windows(2).skip(1).map(|two| micros(two[0], two[1])).collect();
     apart.sort_by(f64::total_cmp);
     let answers = cell.robot[0].axis.iter().map(|axis| {
         let id = cob::tpdo(PdoNumber::One, NodeId::new(axis.node).unwrap());
@@ -71,7 +72,7 @@ pub fn agrees(wire: &Value, cell: &Cell, frames: &[Received]) {
     for ((axis, node), after) in cell.robot[0].axis.iter().zip(nodes).zip(&answers) {
         assert_eq!(node["node"], axis.node);
         check(&axis.name, &node["sync_to_tpdo_us"], after, 1.0);
-        let unanswered = apart.len() - after.len();
+        let unanswered = apart.len() + 1 - after.len();
         assert_eq!(node["unanswered"], unanswered, "{node}");
     }
 }

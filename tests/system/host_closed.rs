@@ -10,7 +10,7 @@ use kit::cell::{Setup, ends};
 use kit::motion::Motion;
 use servo::{Order, Phase, StopCause};
 
-const BY_HOST: [DriveControl; 2] = [DriveControl::Velocity, DriveControl::Torque];
+pub(crate) const BY_HOST: [DriveControl; 2] = [DriveControl::Velocity, DriveControl::Torque];
 
 /// Position gain for the velocity loop of the drive, rad/s: [`hil::AmplifierConfig::VELOCITY_BANDWIDTH`] is 283.
 const POSITION_GAIN: f64 = 50.0;
@@ -53,7 +53,7 @@ pub(crate) fn closed_by_host(axis: &mut Axis, kind: Irp6Axis, control: DriveCont
 }
 
 /// The IRb-6 on CAN with loops closed by the host.
-fn irb6(control: DriveControl) -> Setup {
+pub(crate) fn irb6(control: DriveControl) -> Setup {
     let mut setup = Setup::of("irb6");
     let axes = setup.cell.robot[0].axis.iter_mut();
     for (axis, kind) in axes.zip(Irp6Axis::ALL) {

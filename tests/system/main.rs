@@ -44,6 +44,7 @@ mod inputs;
 mod jitter;
 mod kinematics;
 mod lab;
+mod late_frames;
 mod light_gates;
 mod loops;
 mod lss;

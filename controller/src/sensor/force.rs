@@ -224,12 +224,11 @@ impl ForceTorque {
         self.load_at(time, &self.base_from_sensor(&self.robot.read()))
     }
 
-    /// Whether the present reading may become the zero. The contact wrench before the zeroing, relative to the last zero
-    /// if there is one, is at most the greatest offset of an unloaded sensor ([`ForceError::Offset`]). A greater wrench is a
-    /// contact, or the weight of another tool.
-    pub fn can_be_zeroed(&self) -> Result<(), ForceError> {
-        let (_, reading) = self.read().ok_or(ForceError::Busy)?;
-        let channels = WrenchAxis::ALL.into_iter().zip(reading.contact?.components()).zip(self.config.max_offset);
+    /// Whether a reading may become the zero. `contact` is the contact wrench before the zeroing, averaged over a time in which
+    /// the arm vibrates at rest, and relative to the last zero if there is one. The wrench is at most the greatest offset of
+    /// an unloaded sensor ([`ForceError::Offset`]). A greater wrench is a contact, or the weight of another tool.
+    pub fn can_be_zeroed(&self, contact: &Wrench) -> Result<(), ForceError> {
+        let channels = WrenchAxis::ALL.into_iter().zip(contact.components()).zip(self.config.max_offset);
         for ((axis, value), limit) in channels {
             if value.is_nan() || value.abs() > limit {
                 return Err(ForceError::Offset { axis, value, limit });

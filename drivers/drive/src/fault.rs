@@ -24,6 +24,12 @@ pub enum Fault {
     /// Answers were missing for more cycles than the cell tolerates.
     #[error("node {node}: no answer for {cycles} cycles")]
     Silent { node: u8, cycles: u32 },
+    /// All answers come `periods` later than in the period of their SYNC: longer than the loop of the axis, or the tolerated
+    /// number of missing answers, permits. A SYNC that was left out proved the latency.
+    #[error(
+        "node {node}: answers come {latency:.1?} after their SYNC, {periods} periods late; {most:.1?} is tolerated"
+    )]
+    Late { node: u8, periods: u32, latency: Duration, most: Duration },
     /// The port refused the set-point of the node, or even the SYNC, for more cycles than the cell tolerates. The
     /// drive continues with an old set-point.
     #[error("node {node}: set-point not taken by the bus for {cycles} cycles")]
@@ -121,6 +127,16 @@ pub enum BringUpError {
     /// The I/O node was started, but sent no TPDO with its inputs.
     #[error("node {node}: no inputs since the start, waited {waited:.1?}")]
     NoInputs { node: u8, waited: Duration },
+    /// The drive was started, but sent no TPDO 1 after a SYNC.
+    #[error("node {node}: no answer to SYNC, waited {waited:.1?}: check TPDO 1 of the drive (0x1800, 0x1A00)")]
+    NoAnswer { node: u8, waited: Duration },
+    /// Each answer to a SYNC that stands alone came later than the loop of the axis, or the tolerated number of missing
+    /// answers, permits.
+    #[error(
+        "node {node}: answers come {latency:.1?} after their SYNC, {most:.1?} is tolerated: \
+         remove what delays the frames (adapter, gateway, load of bus or host), or set a longer period"
+    )]
+    Late { node: u8, latency: Duration, most: Duration },
     /// The node was started, but no heartbeat showed the state operational.
     #[error("node {node}: not operational, waited {waited:.1?}")]
     NotOperational { node: u8, waited: Duration },
@@ -181,6 +197,8 @@ impl BringUpError {
             | Self::TooFewBlocks { node, .. }
             | Self::NoInputs { node, .. }
             | Self::NotOperational { node, .. }
+            | Self::NoAnswer { node, .. }
+            | Self::Late { node, .. }
             | Self::WrongIdentity { node, .. }
             | Self::WrongScale { node, .. }
             | Self::Aborted { node, .. }
@@ -213,6 +231,8 @@ impl BringUpError {
             | Self::TimedOut { object, .. } => Some(object),
             Self::NeverBooted { .. }
             | Self::NoInputs { .. }
+            | Self::NoAnswer { .. }
+            | Self::Late { .. }
             | Self::NotOperational { .. }
             | Self::AxisController { .. }
             | Self::WrenchLine { .. }

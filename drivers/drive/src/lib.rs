@@ -29,6 +29,6 @@ pub use group::{DriveGroup, EmergencyStop, GroupCounters};
 pub use scale::{Increments, Scale};
 pub(crate) use scale::{Milliamperes, Permille};
 pub use state::{AxisState, Homing, Power, Switches};
-pub use warning::{Warning, Warnings};
+pub use warning::{Warning, WarningCause, Warnings};
 pub(crate) use word::Request;
 pub use word::Word;

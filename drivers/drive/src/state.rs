@@ -14,6 +14,9 @@ pub struct AxisState {
     pub sampled: Instant,
     /// Cycles since an answer to the last SYNC was read: 0 in a cycle that read one. Older answers do not count.
     pub age: u32,
+    /// Periods by which all answers of the drive are known to come later than in the period of their SYNC, as
+    /// [`sampled`](Self::sampled) takes into account. 0 on a sound bus.
+    pub lag: u32,
     /// Motor position, rad. Not an absolute position before [`Homing::Attained`].
     pub position: f64,
     /// The same position in the drive's unit.

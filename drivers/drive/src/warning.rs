@@ -1,29 +1,71 @@
-//! Warnings: errors that drives and I/O nodes report without a fault, counted and bounded.
+//! Warnings: errors that drives and I/O nodes report without a fault, and oddities of their answers, counted and bounded.
 
 use std::time::Duration;
 
 use canopen::cia402::FaultTable;
 use thiserror::Error;
 
-/// An error reported by EMCY without a fault since the start of operation.
+/// An irregularity without a fault since the start of operation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
-#[error(
-    "node {node}: EMCY {code:#06x} ({text}), error register {register:#04x}",
-    text = .table.text(*.code)
-)]
+#[error("node {node}: {cause}")]
 pub struct Warning {
     /// Time from the start of operation to the first report.
     pub after: Duration,
     /// Node-ID.
     pub node: u8,
-    /// Error code.
-    pub code: u16,
-    /// Meaning of the error code.
-    pub table: FaultTable,
-    /// Object 0x1001.
-    pub register: u8,
-    /// How often the node reported the error.
+    /// What was irregular.
+    pub cause: WarningCause,
+    /// How often.
     pub count: u64,
+}
+
+/// Cause of a warning.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+pub enum WarningCause {
+    /// The node reported an error by EMCY.
+    #[error("EMCY {code:#06x} ({text}), error register {register:#04x}", text = .table.text(*.code))]
+    Emergency {
+        /// Error code.
+        code: u16,
+        /// Meaning of the error code.
+        table: FaultTable,
+        /// Object 0x1001.
+        register: u8,
+    },
+    /// All answers of the node come late, and the loop permits it. The count says how often this was found.
+    #[error("answers come {latency:.1?} after their SYNC, {periods} periods late")]
+    Late {
+        /// Periods by which the answers come later than in the period of their SYNC.
+        periods: u32,
+        /// Longest latency found.
+        latency: Duration,
+    },
+    /// Answers of the node came without a SYNC: frames come twice, or another node sends the same identifier. The count is the
+    /// number of these answers.
+    #[error("an answer without a SYNC: a frame came twice, or another node sends the same identifier")]
+    Surplus,
+}
+
+impl WarningCause {
+    /// Error code and error register of an EMCY.
+    pub fn emergency(&self) -> Option<(u16, u8)> {
+        match *self {
+            Self::Emergency { code, register, .. } => Some((code, register)),
+            Self::Late { .. } | Self::Surplus => None,
+        }
+    }
+
+    /// Whether both causes count as one.
+    fn is_kind(&self, other: &Self) -> bool {
+        match (self, other) {
+            (Self::Emergency { code, register, .. }, Self::Emergency { code: other, register: also, .. }) => {
+                (code, register) == (other, also)
+            }
+            (Self::Late { periods, .. }, Self::Late { periods: other, .. }) => periods == other,
+            (Self::Surplus, Self::Surplus) => true,
+            (Self::Emergency { .. } | Self::Late { .. } | Self::Surplus, _) => false,
+        }
+    }
 }
 
 /// The warnings of a group: the first [`KEPT`](Self::KEPT) different ones, and the number of reports that had no room.
@@ -49,12 +91,19 @@ impl Warnings {
         self.omitted = 0;
     }
 
-    /// Adds a report. A report of the same node, code and register as an earlier one increases its count.
+    /// Adds a report. A report of the same node and kind as an earlier one increases its count.
     pub(crate) fn add(&mut self, warning: Warning) {
-        let kind = |it: &Warning| (it.node, it.code, it.register);
-        let mut kept = self.kept.iter();
-        match kept.position(|kept| kind(kept) == kind(&warning)) {
-            Some(same) => self.kept[same].count += warning.count,
+        let is_same = |kept: &Warning| kept.node == warning.node && kept.cause.is_kind(&warning.cause);
+        match self.kept.iter().position(is_same) {
+            Some(index) => {
+                let same = &mut self.kept[index];
+                same.count += warning.count;
+                if let (WarningCause::Late { latency, .. }, WarningCause::Late { latency: found, .. }) =
+                    (&mut same.cause, warning.cause)
+                {
+                    *latency = found.max(*latency);
+                }
+            }
             None if self.kept.len() < Self::KEPT => self.kept.push(warning),
             None => self.omitted += warning.count,
         }
@@ -62,9 +111,11 @@ impl Warnings {
 
     /// Removes the last report of `code` by `node`, because the drive has a fault of this code.
     pub(crate) fn explain(&mut self, node: u8, code: u16) {
-        let mut kept = self.kept.iter();
-        let last = kept.rposition(|kept| (kept.node, kept.code) == (node, code));
-        let Some(last) = last else { return };
+        let explained = |kept: &Warning| {
+            let emergency = matches!(kept.cause, WarningCause::Emergency { code: reported, .. } if reported == code);
+            kept.node == node && emergency
+        };
+        let Some(last) = self.kept.iter().rposition(explained) else { return };
         self.kept[last].count -= 1;
         if self.kept[last].count == 0 {
             self.kept.remove(last);

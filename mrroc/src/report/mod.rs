@@ -247,10 +247,10 @@ pub struct WarningReport {
     /// The axis, as in [`AxisReport::name`].
     axis: Option<String>,
     node: u8,
-    /// Error code of the EMCY.
-    code: u16,
+    /// Error code of the EMCY; null for a warning of another kind.
+    code: Option<u16>,
     /// Error register of the EMCY (object 0x1001).
-    register: u8,
+    register: Option<u8>,
     /// Time of the first report, from the end of bring-up, s.
     time_s: f64,
     count: u64,
@@ -262,12 +262,13 @@ impl WarningReport {
     pub fn of(file: &CellFile, group: usize, warning: &Warning) -> Self {
         let node = |&(robot, axis): &(usize, usize)| file.cell.robot[robot].axis[axis].node == warning.node;
         let axis = file.cell.axes_on(group).find(node);
+        let emergency = warning.cause.emergency();
         Self {
             bus: file.cell.groups().nth(group).unwrap_or_default().to_owned(),
             axis: axis.map(|(robot, axis)| file.axis_name(robot, axis)),
             node: warning.node,
-            code: warning.code,
-            register: warning.register,
+            code: emergency.map(|(code, _)| code),
+            register: emergency.map(|(_, register)| register),
             time_s: warning.after.as_secs_f64(),
             count: warning.count,
             what: warning.to_string(),

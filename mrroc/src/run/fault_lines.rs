@@ -70,6 +70,7 @@ fn of_drives() -> Vec<Fault> {
         Fault::Drive { node, code: 0xFF01 },
         Fault::Drive { node, code: 0xFF0B },
         Fault::Silent { node, cycles: 4 },
+        Fault::Late { node, periods: 3, latency: WAITED, most: WAITED },
         Fault::NotSent { node, cycles: 4 },
         Fault::NotAcknowledged { cycles: 4 },
         Fault::HeartbeatLost { node, waited },
@@ -105,6 +106,7 @@ fn of_drives() -> Vec<Fault> {
         match fault {
             Fault::Drive { .. }
             | Fault::Silent { .. }
+            | Fault::Late { .. }
             | Fault::NotSent { .. }
             | Fault::NotAcknowledged { .. }
             | Fault::HeartbeatLost { .. }

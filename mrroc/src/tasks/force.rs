@@ -1,5 +1,6 @@
 //! A force/torque sensor of a cell, as a task sees it.
 
+use std::collections::VecDeque;
 use std::time::Duration;
 
 use can::Instant;
@@ -18,7 +19,8 @@ const SPARE: u32 = 100;
 /// Longest time in which a zeroing whose samples differ is repeated.
 const SETTLING: Duration = Duration::from_secs(1);
 
-/// Time for which the reading must be within `max_offset` before a zeroing.
+/// Time over which the reading before a zeroing is averaged, and compared with `max_offset`. An arm at rest vibrates by single
+/// counts of its encoders, and a heavy tool then reads several newtons in single samples.
 const CALM: Duration = Duration::from_millis(200);
 
 /// A force/torque sensor at the flange of a robot.
@@ -76,23 +78,26 @@ impl ForceSensor {
     /// Makes the present reading the zero: the offset of the sensor, and any contact. The robot must stand still, homed and
     /// without contact, until the zeroing is done. Fails if the sensor has a fault or gives no samples, if the robot moves,
     /// and if the reading still changes by a tenth of the range after a second. Also fails if the reading before the zeroing,
-    /// without the weight of the tool, exceeds `max_offset` of the cell file for a second ([`ForceError::Offset`]): a contact,
-    /// or another tool. A smaller constant contact force is not detected.
+    /// without the weight of the tool and averaged over 0.2 s, exceeds `max_offset` of the cell file for a second
+    /// ([`ForceError::Offset`]): a contact, or another tool. A smaller constant contact force is not detected.
     pub async fn zero(&self) -> Outcome {
         // A sensor with a fault, or at a robot that is not homed, is refused before the request.
         self.read()?;
         self.stands_still()?;
-        let (mut waited, mut calm) = (Duration::ZERO, Duration::ZERO);
-        while calm < CALM {
-            match self.sensor.can_be_zeroed() {
-                Ok(()) => calm += self.period,
-                // The arm may still oscillate after its last motion.
-                Err(ForceError::Offset { .. }) if waited < SETTLING => calm = Duration::ZERO,
-                Err(error) => return Err(self.failed(error)),
-            }
+        let mut last = Readings::over(CALM, self.period);
+        let mut waited = Duration::ZERO;
+        loop {
+            last.push(self.read()?.1.in_sensor()?);
             self.agents.sleep(self.period).await;
             waited += self.period;
             self.stands_still()?;
+            let Some(contact) = last.mean() else { continue };
+            match self.sensor.can_be_zeroed(&contact) {
+                Ok(()) => break,
+                // The arm may still oscillate after its last motion.
+                Err(ForceError::Offset { .. }) if waited < SETTLING => {}
+                Err(error) => return Err(self.failed(error)),
+            }
         }
         let mut request = self.sensor.link().zero();
         let mut waited = Duration::ZERO;
@@ -136,5 +141,34 @@ impl ForceSensor {
 
     fn failed(&self, error: ForceError) -> TaskError {
         TaskError::ForceSensor { name: self.name.clone(), error }
+    }
+}
+
+/// The wrenches of the last readings.
+struct Readings {
+    wrenches: VecDeque<Wrench>,
+    /// Number of readings.
+    whole: usize,
+}
+
+impl Readings {
+    /// Readings of `time`, one per `period`.
+    fn over(time: Duration, period: Duration) -> Self {
+        let whole = time.as_nanos().div_ceil(period.as_nanos().max(1)).max(1) as usize;
+        Self { wrenches: VecDeque::with_capacity(whole), whole }
+    }
+
+    fn push(&mut self, wrench: Wrench) {
+        if self.wrenches.len() == self.whole {
+            self.wrenches.pop_front();
+        }
+        self.wrenches.push_back(wrench);
+    }
+
+    /// The mean, once the readings are complete.
+    fn mean(&self) -> Option<Wrench> {
+        let sum = self.wrenches.iter().fold(Wrench::default(), |sum, wrench| sum + *wrench);
+        let mean = Wrench::from_components(sum.components().map(|sum| sum / self.whole as f64));
+        (self.wrenches.len() == self.whole).then_some(mean)
     }
 }

@@ -134,6 +134,7 @@ impl Wire {
             (bus.times, bus.card) = (before.times, before.card);
             for times in [Some(&mut bus.times), bus.card.as_mut()].into_iter().flatten() {
                 times.timing.pause();
+                times.follows_bring_up = true;
             }
         }
         self
@@ -228,6 +229,8 @@ impl BusWire {
 struct Times {
     timing: WireTiming,
     period: Duration,
+    /// The next time between two SYNCs begins with the SYNC of bring-up that stands alone.
+    follows_bring_up: bool,
     sync: Spread,
     /// Absolute deviation of the time between two SYNCs from the period.
     off_period: Spread,
@@ -239,6 +242,7 @@ impl Times {
         Self {
             timing: WireTiming::new(ids.iter().copied()),
             period,
+            follows_bring_up: !ids.is_empty(),
             sync: Spread::new(),
             off_period: Spread::new(),
             answers: ids.iter().map(|_| Spread::new()).collect(),
@@ -247,7 +251,9 @@ impl Times {
 
     fn record(&mut self, at: Instant, frame: &Frame) {
         let (sync, off, answers) = (&mut self.sync, &mut self.off_period, &mut self.answers);
+        let follows_bring_up = &mut self.follows_bring_up;
         self.timing.observe(at, frame, |sample| match sample {
+            Sample::SyncToSync(_) if *follows_bring_up => *follows_bring_up = false,
             Sample::SyncToSync(apart) => {
                 sync.record(apart);
                 off.record(apart.abs_diff(self.period));

@@ -113,7 +113,7 @@ impl Detector {
     fn of_drive(fault: &Fault) -> Option<Self> {
         Some(match fault {
             Fault::Drive { .. } => Self::DriveStatus,
-            Fault::Silent { .. } => Self::Answers,
+            Fault::Silent { .. } | Fault::Late { .. } => Self::Answers,
             Fault::HeartbeatLost { .. } => Self::Heartbeat,
             Fault::LeftOperational { .. }
             | Fault::NotBack { .. }

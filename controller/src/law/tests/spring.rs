@@ -53,13 +53,14 @@ fn limit(settles: impl Fn(f64) -> bool) -> f64 {
 
 #[test]
 fn a_step_of_the_force_has_overshoot_and_settling_of_the_force_table() {
-    // Both ends of each range of the table: lag 4 ms and one sample of delay, lag 10 ms and two samples.
+    // Both ends of each range of the table: lag 4 ms and one sample of delay, lag 10 ms and two samples. The table rounds the
+    // settling times to 0.9, 0.7, 0.65, and 0.8 to 1.6 s.
     type Row = (f64, [f64; 2], [f64; 2]);
     let table: [Row; 4] = [
-        (500.0, [0.0, 0.0], [0.9, 0.9]),
-        (1000.0, [5.0, 7.0], [0.7, 0.7]),
-        (3000.0, [28.0, 34.0], [0.65, 0.65]),
-        (10_000.0, [59.0, 76.0], [0.8, 1.6]),
+        (500.0, [0.0, 0.0], [0.93, 0.90]),
+        (1000.0, [5.0, 7.0], [0.66, 0.72]),
+        (3000.0, [28.0, 34.0], [0.64, 0.67]),
+        (10_000.0, [59.0, 76.0], [0.76, 1.64]),
     ];
     for (stiffness, overshoots, settlings) in table {
         for (end, (tau, delay)) in [(0.004, 1), (0.01, 2)].into_iter().enumerate() {
@@ -69,9 +70,9 @@ fn a_step_of_the_force_has_overshoot_and_settling_of_the_force_table() {
                 found.overshoot, found.settling, found.steady
             );
             // 5 % of the table's value, or half of its last digit.
-            let near = |found: f64, told: f64, digit: f64| (found - told).abs() <= (0.05 * told).max(0.5 * digit);
-            assert!(near(found.overshoot, overshoots[end], 1.0), "{stiffness} {tau}: {} %", found.overshoot);
-            assert!(near(found.settling, settlings[end], 0.1), "{stiffness} {tau}: {} s", found.settling);
+            let near = (found.overshoot - overshoots[end]).abs() <= (0.05 * overshoots[end]).max(0.5);
+            assert!(near, "{stiffness} {tau}: {} %", found.overshoot);
+            assert!((found.settling - settlings[end]).abs() < 0.005, "{stiffness} {tau}: {} s", found.settling);
             assert!(found.steady.abs() < 0.01, "{stiffness} {tau}: {} N", found.steady);
         }
     }

@@ -208,7 +208,7 @@ fn a_contact_or_another_tool_is_not_zeroed() {
     let weight = sensor.weight().unwrap();
     let can_be_zeroed = |device: &mut RehearsedWrench, contact: [f64; 6]| {
         device.advance(Instant::from_nanos(1), (weight + Wrench::from_components(contact)).components());
-        sensor.can_be_zeroed()
+        sensor.can_be_zeroed(&sensor.read().unwrap().1.in_sensor().unwrap())
     };
     let offset = [3.0, -5.0, 11.9, 0.9, 0.0, 0.0];
     assert_eq!(can_be_zeroed(&mut device, offset), Ok(()));

@@ -56,7 +56,7 @@ impl<P: Port> CanBus<P> {
         self.batch.clear();
         let InFlight { refused, unanswered, for_torque, .. } = self.in_flight;
         let replaces = (refused > 0 || unanswered > 0 && for_torque) && self.drives.are_stopped();
-        self.batch_syncs = usize::from(self.needs_sync && !replaces);
+        self.batch_syncs = usize::from(self.needs_sync && !replaces && !self.leaves_out);
         self.batch.extend((self.batch_syncs > 0).then(|| Sync::default().encode()));
         self.in_flight.withheld = 0;
     }
@@ -73,12 +73,18 @@ impl<P: Port> CanBus<P> {
         let longest = self.config.heartbeat_lost_after().min(WAITING);
         let silent = withholds && answered.is_some_and(|answered| now.since(answered) < longest);
         let settles = settled_at.is_some_and(|settled| now < settled);
-        Conditions { watched: self.heartbeat.watched, withholds, waits: silent || settles }
+        let leaves_out = self.leaves_out;
+        Conditions { watched: self.heartbeat.watched, withholds, waits: silent || settles, leaves_out }
     }
 
     /// Notes the set-points of this cycle that were withheld, and whether the batch has controlwords for torque.
     pub(super) fn note_setpoints(&mut self, withheld: usize, for_torque: bool) {
         (self.in_flight.withheld, self.in_flight.for_torque) = (withheld, for_torque);
+    }
+
+    /// Whether the port took the last batch, and a drive answered its SYNC.
+    pub(super) fn is_answered_and_taken(&self) -> bool {
+        self.in_flight.refused == 0 && self.in_flight.unanswered == 0
     }
 
     /// Set-points of this cycle that were withheld.

@@ -7,7 +7,7 @@
 //!
 //! | frame | when |
 //! |---|---|
-//! | SYNC | every cycle, if a PDO of the bus is synchronous, except before the first stops after refused or unanswered batches |
+//! | SYNC | every cycle, if a PDO of the bus is synchronous, except before the first stops after refused or unanswered batches, and once after missing answers to prove the age of the answers (`answer_age`) |
 //! | RPDO 1 of each drive | every cycle; not after two SYNCs that no drive answered (`in_flight`) |
 //! | heartbeat of the host | once per heartbeat period, and with each NMT command of the recovery of a drive |
 //! | RPDO 1 of an I/O node | after the first heartbeat of the host: changed or refused levels, and with each heartbeat |
@@ -16,10 +16,11 @@
 //! Bring-up listens for another controller, resets the communication of all nodes, configures and reads back every node
 //! by SDO, and starts all nodes together. Bring-up ends when every node shows the state operational, every I/O node
 //! with inputs has sent its inputs, and every sensor has sent samples at its declared rate. If a sensor needs SYNC,
-//! bring-up sends SYNC.
+//! bring-up sends SYNC. Last, a SYNC that stands alone gives the latency of the answer of every drive.
 //!
 //! Read [`DriveGroup`] first, then [`CanBus::with_io`].
 
+mod answer_age;
 mod bring_up;
 mod in_flight;
 mod other_controller;
@@ -27,6 +28,7 @@ mod own_heartbeat;
 mod routes;
 mod sensors;
 mod service;
+mod start;
 mod step;
 mod syncs;
 mod traffic;
@@ -52,7 +54,11 @@ pub use traffic::{Traffic, traffic};
 use crate::cia401::{self, IoConfig, IoFault, IoLink, IoNode};
 use crate::cia402::{self, AxisConfig, Cia402Group, ConfigError, GroupConfig};
 use crate::wrench::{self, WrenchLink, WrenchNode, WrenchNodeConfig};
-use crate::{AxisCommand, AxisState, BringUpError, DriveGroup, EmergencyStop, Fault, GroupCounters, Warning, Warnings};
+use crate::{
+    AxisCommand, AxisState, BringUpError, DriveGroup, EmergencyStop, Fault, GroupCounters, Warning, WarningCause,
+    Warnings,
+};
+use answer_age::LoneSyncs;
 use bring_up::Profile;
 use in_flight::InFlight;
 use own_heartbeat::OwnHeartbeat;
@@ -90,6 +96,11 @@ pub struct CanBus<P: Port> {
     batch_syncs: usize,
     in_flight: InFlight,
     syncs: Syncs,
+    lone: LoneSyncs,
+    /// The SYNC of this cycle is left out, to prove the age of the answers.
+    leaves_out: bool,
+    /// When a SYNC was left out last.
+    proved_at: Option<Instant>,
     heartbeat: OwnHeartbeat,
     counters: GroupCounters,
     warnings: Warnings,
@@ -217,6 +228,9 @@ impl<P: Port> CanBus<P> {
             batch_syncs: 0,
             in_flight: InFlight::default(),
             syncs: Syncs::default(),
+            lone: LoneSyncs::of(axes.len()),
+            leaves_out: false,
+            proved_at: None,
             heartbeat: OwnHeartbeat::due_at(Instant::ZERO),
             counters: GroupCounters::default(),
             warnings: Warnings::with_room(),
@@ -284,9 +298,11 @@ impl<P: Port> CanBus<P> {
                     self.warnings.add(Warning {
                         after: at.since(self.up_since),
                         node: node.raw(),
-                        code: emergency.code,
-                        table,
-                        register: emergency.error_register.0,
+                        cause: WarningCause::Emergency {
+                            code: emergency.code,
+                            table,
+                            register: emergency.error_register.0,
+                        },
                         count: 1,
                     });
                 }
@@ -306,121 +322,6 @@ impl<P: Port> CanBus<P> {
             | cob::Function::SdoRequest(_) => return None,
         }
         Some(())
-    }
-
-    fn order(&mut self, command: nmt::Command) {
-        let frames = self.members.iter().map(|member| command.to(member.bring_up.node()).encode());
-        self.batch.extend(frames);
-    }
-
-    /// Ends the listening and discards all earlier requests to the nodes.
-    fn begin(&mut self, now: Instant) {
-        self.stage = Stage::Configuring;
-        self.batch.clear();
-        self.service = None;
-        self.drives.forget_services();
-        for member in &mut self.members {
-            member.bring_up.reset(now);
-            member.sdo = member.bring_up.client();
-        }
-        self.order(nmt::Command::ResetCommunication);
-    }
-
-    /// Takes one frame during bring-up.
-    fn take_in_bring_up(&mut self, received: Received, now: Instant) {
-        let Received { frame, at } = received;
-        if matches!(self.stage, Stage::Starting { .. }) && self.take_sample(&received).is_some() {
-            return;
-        }
-        match frame.standard_data_id().and_then(cob::Function::of) {
-            Some(cob::Function::Heartbeat(node)) => {
-                if let Some(heartbeat) = Heartbeat::decode(&frame)
-                    && let Some(member) = self.routes.member(node)
-                {
-                    let Member { bring_up, sdo } = &mut self.members[member];
-                    bring_up.heard(heartbeat.state, sdo, now);
-                    match self.routes.place(node) {
-                        Some(Place::Io(io)) => self.io[io].heard(heartbeat.state, at),
-                        Some(Place::Sensor(sensor)) => self.sensors[sensor].heard(heartbeat.state, at),
-                        Some(Place::Drive(_)) | None => {}
-                    }
-                }
-            }
-            Some(cob::Function::SdoResponse(node)) => {
-                if let Some(member) = self.routes.member(node) {
-                    self.members[member].sdo.handle(&frame, now);
-                }
-            }
-            Some(cob::Function::Tpdo(number, node)) => match (self.routes.place(node), number) {
-                (Some(Place::Drive(drive)), PdoNumber::Two) => {
-                    if let Some(mode) = cia402::mode_shown(frame.data()) {
-                        self.members[drive].bring_up.shows(mode);
-                    }
-                }
-                (Some(Place::Io(io)), PdoNumber::One) if matches!(self.stage, Stage::Starting { .. }) => {
-                    // A frame of another length is ignored. Bring-up then ends with `BringUpError::NoInputs`.
-                    _ = self.io[io].inputs(frame.data(), at);
-                }
-                _ => {}
-            },
-            _ => {}
-        }
-    }
-
-    fn advance_bring_up(&mut self, now: Instant) -> Result<bool, BringUpError> {
-        if matches!(self.stage, Stage::Down | Stage::Up) {
-            let until = now + self.config.listening();
-            self.stage = Stage::Listening { until };
-            self.port.bound_unsent(usize::MAX)?;
-            self.io.iter_mut().for_each(IoNode::reset);
-            self.sensors.iter_mut().for_each(WrenchNode::reset);
-        }
-        let count = self.port.receive(now, &mut self.received)?;
-        let mut heard = self.received[..count].iter();
-        let ours = |node| self.routes.place(node).is_some();
-        if let Some(sign) = heard.find_map(|received| Sign::of_bring_up(&received.frame, self.config.host_node, ours)) {
-            return Err(BringUpError::OtherController { sign });
-        }
-        if let Stage::Listening { until } = self.stage {
-            if now < until {
-                return Ok(false);
-            }
-            self.begin(now);
-        }
-        for i in 0..count {
-            self.take_in_bring_up(self.received[i], now);
-        }
-        for member in &mut self.members {
-            member.bring_up.advance(&mut member.sdo, now)?;
-        }
-        if self.stage == Stage::Configuring && self.members.iter().all(|member| member.bring_up.configured()) {
-            self.stage = Stage::Starting { since: now };
-            self.members.iter_mut().for_each(|member| member.bring_up.start(now));
-            self.order(nmt::Command::Start);
-        }
-        if self.batch.is_empty() {
-            while self.batch.len() < SDO_FRAMES_PER_CALL
-                && let Some(service) = self.next_sdo_frame(now)
-            {
-                self.batch.push(service.frame);
-            }
-        }
-        if !self.batch.is_empty() {
-            let taken = self.port.send(now, &self.batch)?;
-            self.batch.drain(..taken.min(self.batch.len()));
-        }
-        let Stage::Starting { since } = self.stage else {
-            return Ok(false);
-        };
-        let mut ready = self.members.iter().all(|member| member.bring_up.operational());
-        for io in &self.io {
-            ready &= io.has_inputs(now.since(since))?;
-        }
-        let ready = ready && self.sensors_are_ready(now)?;
-        if ready {
-            self.bound_frames_in_flight()?;
-        }
-        Ok(ready)
     }
 }
 
@@ -450,7 +351,9 @@ impl<P: Port> DriveGroup for CanBus<P> {
                 self.up_since = now;
                 self.cycle = 0;
                 self.warnings.clear();
-                self.drives.begin(now, &self.members);
+                self.proved_at = None;
+                let lags = self.measured_lags();
+                self.drives.begin(now, &self.members, lags.into_iter());
                 self.io.iter_mut().for_each(|io| io.begin(now));
                 self.sensors.iter_mut().for_each(|sensor| sensor.begin(now));
                 Poll::Ready(Ok(()))
@@ -523,6 +426,7 @@ impl<P: Port> DriveGroup for CanBus<P> {
     }
 
     fn write(&mut self, now: Instant, commands: &[AxisCommand]) {
+        self.consider_proof(now, commands);
         self.begin_batch();
         let conditions = self.conditions(now);
         let withheld = self.drives.write(now, commands, conditions, &mut self.members, &mut self.batch);
@@ -533,7 +437,7 @@ impl<P: Port> DriveGroup for CanBus<P> {
     /// when they change and with each heartbeat. Outputs that the port does not take are sent in the next cycle. The
     /// service frame is sent again if the port does not take it.
     fn send(&mut self, now: Instant) -> bool {
-        if self.batch.is_empty() {
+        if self.batch.is_empty() && !self.leaves_out {
             self.begin_batch();
         }
         let syncs = self.batch_syncs;
@@ -559,7 +463,10 @@ impl<P: Port> DriveGroup for CanBus<P> {
         if syncs > 0 {
             self.syncs.send(now, taken > 0);
             self.counters.dropped_syncs += u64::from(taken == 0);
+        } else {
+            self.syncs.begin_period(now, false);
         }
+        self.begin_period(now, syncs > 0 && taken > 0);
         self.count_refused(taken);
         self.drives.handed_over(taken, syncs, setpoints);
         let mut outputs = taken.saturating_sub(before_outputs);

@@ -376,6 +376,23 @@ impl CanAxis {
         target.map(Some).ok_or(Refusal::OutOfRange)
     }
 
+    pub(super) fn node(&self) -> u8 {
+        self.config.node.raw()
+    }
+
+    pub(super) fn mode(&self) -> CyclicMode {
+        self.config.mode
+    }
+
+    /// Latches a lag that the group does not tolerate: any where the host closes a loop, and more than the tolerated number
+    /// where the drive closes the position loop.
+    pub(super) fn judge_lag(&mut self, periods: u32, latency: Duration) {
+        let most = self.group.tolerated_latency(self.config.mode);
+        if latency > most {
+            self.latch(Fault::Late { node: self.node(), periods, latency, most });
+        }
+    }
+
     /// Latches that no SYNC was sent for so long that the drive braked by itself. A controlword that enables the drive
     /// would make it follow an old target, so the drive gets a quick stop instead.
     pub(super) fn left_alone(&mut self, waited: Duration) {

@@ -243,6 +243,15 @@ impl GroupConfig {
         self.heartbeat_lost_after()
     }
 
+    /// Longest latency of an answer: a period where the host closes a loop, and the tolerated number of missing answers more
+    /// where the drive closes the position loop.
+    pub(crate) fn tolerated_latency(&self, mode: CyclicMode) -> Duration {
+        match mode {
+            CyclicMode::Csp | CyclicMode::CspWithTorque => self.tolerated_missing.saturating_add(1) * self.period,
+            CyclicMode::Csv | CyclicMode::Cst => self.period,
+        }
+    }
+
     /// Time without a heartbeat after which a drive counts as lost.
     pub(crate) fn heartbeat_lost_after(&self) -> Duration {
         self.heartbeat_period * HEARTBEATS_TO_LOSE

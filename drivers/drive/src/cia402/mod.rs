@@ -53,6 +53,7 @@
 //! [`DriveGroup`](crate::DriveGroup) first, then `axis` and `program`.
 
 mod agreement;
+mod answer_age;
 mod axis;
 mod config;
 mod contact;
@@ -91,6 +92,7 @@ pub use reserved::{Reserved, reserved};
 use crate::Power;
 use crate::bus::{Member, Syncs, begin_transfer};
 use crate::{AxisCommand, AxisState, EmergencyStop, Fault, Warnings};
+use answer_age::{AnswerAge, Finding};
 use axis::CanAxis;
 use process_data::Answer;
 use recovery::Recovery;
@@ -115,6 +117,17 @@ pub(crate) struct Conditions {
     pub(crate) withholds: bool,
     /// The other RPDOs of a drive in a position mode are withheld.
     pub(crate) waits: bool,
+    /// The SYNC of this cycle is left out, and all RPDOs are withheld.
+    pub(crate) leaves_out: bool,
+}
+
+/// What the answers of a drive show, beyond their content.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Oddity {
+    /// All answers of this node come late by this number of periods.
+    Late { node: u8, periods: u32, latency: Duration },
+    /// This number of answers of the node came without a SYNC.
+    Surplus { node: u8, answers: u32 },
 }
 
 /// One drive in operation. Service requests use the SDO client of its [`Member`].
@@ -122,6 +135,9 @@ struct Drive {
     axis: CanAxis,
     service: Option<Service>,
     recovery: Recovery,
+    age: AnswerAge,
+    /// Time from the last SYNC before an answer to the last answer.
+    since_sync: Duration,
     setpoint: Option<Target>,
     /// The batch of this cycle has a frame for this drive.
     queued: bool,
@@ -136,6 +152,8 @@ impl Cia402Group {
             axis: CanAxis::new(config, axis),
             service: None,
             recovery: Recovery::None,
+            age: AnswerAge::default(),
+            since_sync: Duration::ZERO,
             setpoint: None,
             queued: false,
             fault: None,
@@ -147,6 +165,16 @@ impl Cia402Group {
         self.drives.len()
     }
 
+    /// Node-ID of a drive.
+    pub(crate) fn node(&self, drive: usize) -> u8 {
+        self.drives[drive].axis.node()
+    }
+
+    /// Longest latency that the loop of a drive permits.
+    pub(crate) fn tolerated_latency(&self, drive: usize, config: &GroupConfig) -> Duration {
+        config.tolerated_latency(self.drives[drive].axis.mode())
+    }
+
     /// Discards the service requests under way, whose clients are replaced.
     pub(crate) fn forget_services(&mut self) {
         for drive in &mut self.drives {
@@ -154,10 +182,11 @@ impl Cia402Group {
         }
     }
 
-    /// Starts operation after bring-up.
-    pub(crate) fn begin(&mut self, now: Instant, members: &[Member]) {
-        for (drive, member) in self.drives.iter_mut().zip(members) {
+    /// Starts operation after bring-up, which measured how many periods late the answers of each drive are.
+    pub(crate) fn begin(&mut self, now: Instant, members: &[Member], lags: impl Iterator<Item = u32>) {
+        for ((drive, member), lag) in self.drives.iter_mut().zip(members).zip(lags) {
             drive.axis.begin(now, member.bring_up.learnt);
+            drive.age = AnswerAge::of(lag);
             drive.fault = None;
         }
     }
@@ -166,10 +195,13 @@ impl Cia402Group {
     /// SYNC. `None` means an undecodable answer, or an answer without a SYNC.
     pub(crate) fn answered(&mut self, drive: usize, data: &[u8], at: Instant, syncs: &Syncs) -> Option<Duration> {
         let answer = Answer::decode(data)?;
-        let sampled = syncs.of_answer(at)?;
-        let fresh = Some(sampled) == syncs.last;
-        let recovers = self.drives[drive].recovers();
-        let axis = &mut self.drives[drive].axis;
+        let Drive { age, axis, recovery, since_sync, .. } = &mut self.drives[drive];
+        age.count(syncs.is_present(at));
+        let recovers = *recovery != Recovery::None;
+        let sampled = syncs.of_late_answer(at, age.lag())?;
+        let received = syncs.of_answer(at)?;
+        let fresh = Some(received) == syncs.last;
+        *since_sync = at.since(received);
         if fresh {
             axis.in_time();
         }
@@ -241,7 +273,7 @@ impl Cia402Group {
             drive.finish_service(&mut member.sdo, now);
             let before = drive.fault;
             let (read, missing) = drive.axis.end_of_read(now, due);
-            *state = read;
+            *state = AxisState { lag: drive.age.lag(), ..read };
             drive.fault = read.fault;
             if let Some(Fault::Drive { node, code }) = read.fault.filter(|_| read.fault != before) {
                 warnings.explain(node, code);
@@ -257,7 +289,7 @@ impl Cia402Group {
         &mut self,
         now: Instant,
         commands: &[AxisCommand],
-        Conditions { watched, withholds, waits }: Conditions,
+        Conditions { watched, withholds, waits, leaves_out }: Conditions,
         members: &mut [Member],
         batch: &mut Vec<Frame>,
     ) -> usize {
@@ -276,7 +308,8 @@ impl Cia402Group {
         for ((drive, member), &command) in self.drives.iter_mut().zip(members).zip(commands) {
             let frame = drive.axis.command(command, drive.setpoint, refused, watched, now);
             let for_torque = drive.axis.is_for_torque();
-            drive.queued = !(if for_torque { withholds } else { waits && drive.axis.holds_position() });
+            let held = if for_torque { withholds } else { waits && drive.axis.holds_position() };
+            drive.queued = !(held || leaves_out);
             withheld += usize::from(for_torque && !drive.queued);
             batch.extend(drive.queued.then_some(frame));
             drive.start_service(&mut member.sdo, now);
@@ -292,6 +325,43 @@ impl Cia402Group {
     /// Whether every drive has a fault, so that the group has no set-points. `false` without drives.
     pub(crate) fn are_stopped(&self) -> bool {
         !self.drives.is_empty() && self.drives.iter().all(|drive| drive.fault.is_some())
+    }
+
+    /// Whether the age of the answers of a drive is in doubt, and no command to a drive forbids to leave out a SYNC: no drive
+    /// has a fault or is being brought up again, and none is to lose its torque.
+    pub(crate) fn ask_for_proof(&self, commands: &[AxisCommand]) -> bool {
+        let may_wait = |(drive, command): (&Drive, &AxisCommand)| {
+            let ends = matches!(command, AxisCommand::Off | AxisCommand::ResetFault) && drive.axis.is_for_torque();
+            drive.fault.is_none() && !drive.recovers() && !ends
+        };
+        self.drives.iter().any(|drive| drive.age.is_doubtful()) && self.drives.iter().zip(commands).all(may_wait)
+    }
+
+    /// Begins the period of a batch. `synced` says that the port took its SYNC, and `leaves_out` that the SYNC was left out. A
+    /// lag that the loop or the tolerated number does not permit is a fault. `found` takes what the answers show.
+    pub(crate) fn begin_period(
+        &mut self,
+        synced: bool,
+        leaves_out: bool,
+        config: &GroupConfig,
+        mut found: impl FnMut(Oddity),
+    ) {
+        for drive in &mut self.drives {
+            if drive.recovers() {
+                drive.age = AnswerAge::unknown();
+                continue;
+            }
+            let node = drive.axis.node();
+            match drive.age.begin_period(synced, leaves_out, config.tolerated_missing.saturating_add(1)) {
+                Some(Finding::Proven(periods @ 1..)) => {
+                    let latency = drive.since_sync + periods * config.period;
+                    found(Oddity::Late { node, periods, latency });
+                    drive.axis.judge_lag(periods, latency);
+                }
+                Some(Finding::Surplus(answers)) => found(Oddity::Surplus { node, answers }),
+                Some(Finding::Proven(0)) | None => {}
+            }
+        }
     }
 
     /// Notes how many frames of the batch the port took: `syncs` SYNCs, then `setpoints` set-points.

@@ -1,6 +1,7 @@
 //! Tests of the group against frames written by hand.
 
 mod agreement;
+mod answer_age;
 pub(crate) mod bench;
 mod bring_up;
 mod configuration;

@@ -83,6 +83,7 @@ impl WrenchFault {
             Fault::BusOff => Self::BusOff,
             Fault::Drive { .. }
             | Fault::Silent { .. }
+            | Fault::Late { .. }
             | Fault::NotSent { .. }
             | Fault::NotAcknowledged { .. }
             | Fault::HeartbeatLost { .. }

@@ -75,7 +75,7 @@ fn an_io_node_is_asked_and_told_this_frame_by_frame() {
     let to_node: Vec<_> = sent.iter().filter(|frame| frame.starts_with("605#")).cloned().collect();
     assert_eq!(to_node, expected);
     assert_eq!(sent[..2], ["000#8202", "000#8205"]);
-    assert_eq!(sent[sent.len() - 2..], ["000#0102", "000#0105"]);
+    assert_eq!(sent[sent.len() - 3..], ["000#0102", "000#0105", "080#"]);
 }
 
 /// The writes to the node during bring-up.

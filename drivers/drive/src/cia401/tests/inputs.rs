@@ -129,8 +129,13 @@ fn an_emcy_of_the_node_is_a_warning_and_an_error_until_the_register_is_clear() {
     cycle(&mut bench, &["085#0000000000000000"]);
     assert_eq!(image(&bench).error, None);
     assert!(image(&bench).input(0).is_some());
-    let warnings: Vec<_> = bench.group.warnings().iter().map(|it| (it.node, it.code, it.count)).collect();
-    assert_eq!(warnings, [(IO, 0x8110, 1)]);
+    let warnings: Vec<_> = bench
+        .group
+        .warnings()
+        .iter()
+        .map(|it| (it.node, it.cause.emergency().map(|(code, _)| code), it.count))
+        .collect();
+    assert_eq!(warnings, [(IO, Some(0x8110), 1)]);
 }
 
 #[test]

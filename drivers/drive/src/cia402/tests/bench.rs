@@ -90,12 +90,13 @@ impl Port for BusEnd {
         Ok(taken)
     }
 
-    fn receive(&mut self, _now: Instant, into: &mut [Received]) -> Result<usize, PortError> {
+    fn receive(&mut self, now: Instant, into: &mut [Received]) -> Result<usize, PortError> {
         let mut bus = self.0.lock().unwrap();
         if let Some(error) = bus.error {
             return Err(error);
         }
-        let count = into.len().min(bus.inbox.len());
+        let due = bus.inbox.iter().take_while(|received| received.at <= now).count();
+        let count = into.len().min(due);
         into.iter_mut().zip(bus.inbox.drain(..count)).for_each(|(to, from)| *to = from);
         Ok(count)
     }
@@ -311,6 +312,8 @@ pub(crate) struct Bench {
     pub(crate) stores: Vec<Store>,
     pub(crate) now: Instant,
     pub(crate) states: Vec<AxisState>,
+    /// Latencies of the answers of the drives in bring-up; `None` for a drive that does not answer.
+    pub(crate) latencies: Vec<Option<Duration>>,
     seen: usize,
 }
 
@@ -330,6 +333,7 @@ impl Bench {
             stores: axes.iter().map(|axis| Store::epos4(axis.node.raw())).collect(),
             now: Instant::ZERO,
             states: vec![AxisState::default(); axes.len()],
+            latencies: vec![Some(PERIOD / 2); axes.len()],
             seen: 0,
         }
     }
@@ -363,10 +367,23 @@ impl Bench {
             if let Poll::Ready(result) = self.group.bring_up(self.now) {
                 return result;
             }
+            self.answer_syncs();
             self.serve();
             self.now += PERIOD;
         }
         panic!("bring-up did not end");
+    }
+
+    /// Lets the drives answer the SYNCs sent since the last call of [`serve`](Self::serve), as they do in bring-up.
+    pub(crate) fn answer_syncs(&mut self) {
+        let mut bus = self.bus.0.lock().unwrap();
+        let syncs = bus.sent[self.seen..].iter().filter(|sent| sent.standard_data_id() == Some(cob::SYNC)).count();
+        for _ in 0..syncs {
+            for (store, latency) in self.stores.iter().zip(&self.latencies) {
+                let frame = frame(&answer(store.raw, 0x0740, 1_000));
+                bus.inbox.extend(latency.map(|latency| Received { frame, at: self.now + latency }));
+            }
+        }
     }
 
     /// Lets the stores answer the frames sent since the last call.

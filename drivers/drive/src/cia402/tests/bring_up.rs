@@ -122,7 +122,8 @@ fn an_epos4_is_asked_and_told_this_frame_by_frame() {
     for object in ["616000", "416000", "646000", "3F6000"] {
         expected.push(format!("602#40{object}00000000"));
     }
-    expected.push("000#0102".to_owned());
+    // The start, and a SYNC that stands alone.
+    expected.extend(["000#0102", "080#"].map(str::to_owned));
     assert_eq!(sent(&bench), expected);
 }
 
@@ -200,6 +201,7 @@ fn a_node_that_boots_again_is_configured_again_and_not_for_ever() {
             if let Poll::Ready(ended) = bench.group.bring_up(bench.now) {
                 break ended;
             }
+            bench.answer_syncs();
             bench.serve();
             bench.now += PERIOD;
             calls += u32::from(sent(&bench) != NONE);
@@ -231,6 +233,7 @@ fn drives_come_up_side_by_side_with_few_frames_a_call() {
                 assert_eq!(ended, Poll::Ready(Ok(())));
                 return (bench.now.as_nanos() / PERIOD.as_nanos() as u64, most);
             }
+            bench.answer_syncs();
             bench.serve();
             bench.now += PERIOD;
         }

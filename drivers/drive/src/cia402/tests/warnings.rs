@@ -5,7 +5,7 @@ use std::time::Duration;
 use canopen::cia402::FaultTable;
 
 use super::bench::*;
-use crate::{Warning, Warnings};
+use crate::{Warning, WarningCause, Warnings};
 
 const STAND: &[AxisCommand] = &[AxisCommand::Stand];
 
@@ -37,7 +37,10 @@ fn an_emcy_without_a_fault_is_a_warning_with_its_time_and_count() {
     // Enabling took seven cycles, and the EMCY arrives half a period before its cycle.
     let first = bench.now.since(up) + 7 * PERIOD - 3 * PERIOD + PERIOD / 2;
     let table = FaultTable::Epos4;
-    let warning = |register, count, after| Warning { after, node: 2, code: 0x8120, table, register, count };
+    let warning = |register, count, after| {
+        let cause = WarningCause::Emergency { code: 0x8120, table, register };
+        Warning { after, node: 2, cause, count }
+    };
     let expected = [warning(8, 2, first), warning(9, 1, first + PERIOD)];
     assert_eq!(warnings(&bench), expected);
     assert_eq!(bench.states[0].fault, None);
@@ -105,7 +108,7 @@ fn warnings_are_bounded_and_the_rest_is_counted() {
     }
     let found = warnings(&bench);
     assert_eq!(found.len(), Warnings::KEPT);
-    assert_eq!((found[0].code, found[31].code), (0xFF01, 0xFF20));
+    assert_eq!([found[0], found[31]].map(|it| it.cause.emergency()), [Some((0xFF01, 1)), Some((0xFF20, 1))]);
     assert_eq!(bench.group.warnings().omitted(), 8);
     // The counts of known warnings continue.
     report(&mut bench, "082#01FF010000000000".to_owned());

@@ -203,10 +203,22 @@ impl Bench {
                 self.serve();
                 return result;
             }
+            self.answer_syncs();
             self.serve();
             self.now += PERIOD;
         }
         panic!("bring-up did not end");
+    }
+
+    /// Lets the drives answer the SYNCs sent since the last call of [`serve`](Self::serve), as they do in bring-up.
+    fn answer_syncs(&mut self) {
+        let mut bus = self.end.0.lock().unwrap();
+        let at = self.now + PERIOD / 2;
+        let syncs = bus.sent[self.seen..].iter().filter(|sent| sent.to_string() == "080#").count();
+        for store in (0..syncs).flat_map(|_| &self.stores[1..]) {
+            let frame = frame(&answer(store.raw, 0x0740, 1_000));
+            bus.inbox.push_back(Received { frame, at });
+        }
     }
 
     /// Lets both nodes answer the frames sent since the last call, half a period after them.

@@ -158,5 +158,8 @@ fn an_emcy_of_the_sensor_is_a_warning() {
     let mut bench = Bench::up();
     assert_eq!(bench.cycle_with(&["089#1050010000000000"]).fault, None);
     let warning = *bench.bus.warnings().iter().next().unwrap();
-    assert_eq!((warning.node, warning.code, warning.count), (SENSOR, 0x5010, 1));
+    assert_eq!(
+        (warning.node, warning.cause.emergency().map(|(code, _)| code), warning.count),
+        (SENSOR, Some(0x5010), 1)
+    );
 }
