@@ -30,6 +30,7 @@
 //! While the stop is open, manual mode shows the fault but does not latch it. Drives can therefore leave error one
 //! after the other. A drive that trips stops only itself.
 
+mod answers;
 mod drive;
 mod hi_moxa;
 mod nfv2;
@@ -44,6 +45,7 @@ use can::Instant;
 
 use crate::plant::{AxisConfig, Mount};
 use crate::{DeviceFault, LineDevice, PlantAxis, outbox::Outbox};
+use answers::Answers;
 use drive::Drive;
 use hi_moxa::HiMoxa;
 use nfv2::Nfv2;
@@ -58,14 +60,8 @@ pub struct AxisController {
     unplugged: bool,
     /// The unit has no supply.
     dead: bool,
-    /// The unit repeats its last answer.
-    frozen: bool,
-    /// The last answer.
-    answer: Vec<u8>,
+    answers: Answers,
 }
-
-/// Room for an answer, bytes.
-const ANSWER: usize = 64;
 
 enum Telegrams {
     Nfv2(Box<Nfv2>),
@@ -100,8 +96,7 @@ impl AxisController {
             answer_delay: config.answer_delay,
             unplugged: false,
             dead: false,
-            frozen: false,
-            answer: Vec::with_capacity(ANSWER),
+            answers: Answers::new(),
         }
     }
 
@@ -118,14 +113,8 @@ impl LineDevice for AxisController {
             return;
         }
         let drive = &mut self.drive;
-        let (frozen, last) = (self.frozen, &mut self.answer);
-        let answer = |bytes: &[u8]| {
-            if !frozen {
-                last.clear();
-                last.extend_from_slice(bytes);
-            }
-            self.outbox.put(now + self.answer_delay, last);
-        };
+        let (answers, outbox, at) = (&mut self.answers, &mut self.outbox, now + self.answer_delay);
+        let answer = |bytes: &[u8]| answers.pass(bytes, |bytes| outbox.put(at, bytes));
         match &mut self.telegrams {
             Telegrams::Nfv2(nfv2) => nfv2.receive(byte, now, drive, answer),
             Telegrams::HiMoxa(hi_moxa) => hi_moxa.receive(byte, now, drive, answer),
@@ -157,13 +146,16 @@ impl LineDevice for AxisController {
         self.drive.catch_up(now);
         match fault {
             DeviceFault::Unplugged => self.unplugged = on,
-            DeviceFault::AnswersFrozen => self.frozen = on,
             DeviceFault::Reset if on => self.drive.restart(),
             DeviceFault::Reset => {}
             DeviceFault::PowerOff => {
                 self.dead = on;
                 self.drive.restart();
             }
+            DeviceFault::AnswersFrozen
+            | DeviceFault::AnswersOld
+            | DeviceFault::AnswersReversed
+            | DeviceFault::AnswersGarbled => return self.answers.set_fault(fault, on),
         }
         true
     }

@@ -17,6 +17,13 @@ pub enum DeviceFault {
     PowerOff,
     /// The device executes requests, and repeats its last answer. Only axis controllers on serial lines have this fault.
     AnswersFrozen,
+    /// Every second answer is the answer before it again. Only axis controllers on serial lines have this fault and the next
+    /// two.
+    AnswersOld,
+    /// An answer waits for the next one, and is sent after it.
+    AnswersReversed,
+    /// The answers are whole and have wrong contents, with a right checksum if the telegram has one.
+    AnswersGarbled,
 }
 
 /// A device on a bus, as a function of (state, input, now): no thread, no clock, no socket.

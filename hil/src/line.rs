@@ -207,6 +207,15 @@ impl SerialLine {
         self.host = None;
     }
 
+    /// Exchanges the hosts that receive the answers of the two devices. Both lines must have been advanced to one time.
+    pub(crate) fn swap_receivers(&mut self, other: &mut Self) {
+        if let (Some(one), Some(other)) = (&mut self.host, &mut other.host) {
+            one.swap_receivers(other);
+        }
+        let delivered = self.delivered.max(other.delivered);
+        (self.delivered, other.delivered) = (delivered, delivered);
+    }
+
     /// The device as its own type, to examine its true state; `None` if the device is no `D`.
     pub fn device<D: LineDevice>(&self) -> Option<&D> {
         let device: &dyn Any = self.device.as_ref();

@@ -139,6 +139,11 @@ pub enum WorldFault {
         /// The line.
         line: LineId,
     },
+    /// The answers of two serial lines reach the host of the other line.
+    SwappedAnswers {
+        /// The lines.
+        lines: [LineId; 2],
+    },
     /// A third party sends bytes on a serial line, once.
     Bytes {
         /// The line.
@@ -344,6 +349,16 @@ impl World {
             WorldFault::Line { line, faults } => {
                 let faults = if on { *faults } else { LineFaults::default() };
                 self.lines[line.0].set_faults(&faults);
+            }
+            // The end of the fault exchanges the hosts again.
+            WorldFault::SwappedAnswers { lines: [one, other] } => {
+                return match self.lines.get_disjoint_mut([one.0, other.0]) {
+                    Ok([one, other]) => {
+                        one.swap_receivers(other);
+                        true
+                    }
+                    Err(_) => false,
+                };
             }
             WorldFault::HangUp { line } if on => self.lines[line.0].hang_up(),
             WorldFault::Bytes { line, to_host, bytes } if on => self.lines[line.0].inject(bytes, *to_host, now),

@@ -62,6 +62,7 @@ mod recordings;
 mod regression;
 mod repetition;
 mod report;
+mod serial_answers;
 mod serial_cli;
 mod serial_delays;
 mod serial_faults;

@@ -85,6 +85,11 @@ impl AxisControllerFault {
             Self::Silent { .. }
             | Self::Delayed { .. }
             | Self::Repeated { .. }
+            | Self::Old { .. }
+            | Self::Reversed { .. }
+            | Self::Garbled { .. }
+            | Self::OtherDrive { .. }
+            | Self::Swapped { .. }
             | Self::Late { .. }
             | Self::Line(_)
             | Self::Jumped { .. }

@@ -6,6 +6,7 @@ mod commands;
 mod delays;
 mod emergency_stops;
 mod faults;
+mod flaws;
 
 use std::f64::consts::TAU;
 use std::task::Poll;

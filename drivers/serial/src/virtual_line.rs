@@ -105,6 +105,12 @@ impl VirtualLinePeer {
             self.dropped.fetch_add(1, Ordering::Relaxed);
         }
     }
+
+    /// Exchanges the hosts that receive the bytes of two devices. The devices still receive the bytes of their own hosts.
+    pub fn swap_receivers(&mut self, other: &mut Self) {
+        std::mem::swap(&mut self.to_host, &mut other.to_host);
+        std::mem::swap(&mut self.dropped, &mut other.dropped);
+    }
 }
 
 #[cfg(test)]

@@ -89,8 +89,15 @@ impl<G: DriveGroup> Bench<G> {
             2..=4 => WorldFault::Bytes { line, to_host: true, bytes: answer(input)? },
             5..=6 => WorldFault::Line { line, faults: line_faults(input)? },
             7 => {
-                let faults =
-                    [DeviceFault::Unplugged, DeviceFault::Reset, DeviceFault::PowerOff, DeviceFault::AnswersFrozen];
+                let faults = [
+                    DeviceFault::Unplugged,
+                    DeviceFault::Reset,
+                    DeviceFault::PowerOff,
+                    DeviceFault::AnswersFrozen,
+                    DeviceFault::AnswersOld,
+                    DeviceFault::AnswersReversed,
+                    DeviceFault::AnswersGarbled,
+                ];
                 WorldFault::Device { drive: DriveId::Line(line), fault: *input.choose(&faults)? }
             }
             8 if u8::arbitrary(input)? < 8 => WorldFault::HangUp { line },

@@ -133,7 +133,11 @@ impl Device for Epos4 {
             DeviceFault::Reset if on => self.node.restart(now),
             DeviceFault::Reset => {}
             DeviceFault::PowerOff => self.node.set_power(!on, now),
-            DeviceFault::Unplugged | DeviceFault::AnswersFrozen => return false,
+            DeviceFault::Unplugged
+            | DeviceFault::AnswersFrozen
+            | DeviceFault::AnswersOld
+            | DeviceFault::AnswersReversed
+            | DeviceFault::AnswersGarbled => return false,
         }
         true
     }

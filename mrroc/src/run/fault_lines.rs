@@ -149,6 +149,11 @@ fn of_axis_controllers() -> Vec<AxisControllerFault> {
         F::PowerStage,
         F::Overcurrent,
         F::Error,
+        F::Old { answers: 103 },
+        F::Reversed { answers: 103 },
+        F::Garbled { answers: 103 },
+        F::OtherDrive { address: 103 },
+        F::Swapped { line: 4 },
         F::Cabinet { line: 4 },
         F::Refused(Refusal::NotOn),
     ];
@@ -158,6 +163,11 @@ fn of_axis_controllers() -> Vec<AxisControllerFault> {
             | F::Late { .. }
             | F::Delayed { .. }
             | F::Repeated { .. }
+            | F::Old { .. }
+            | F::Reversed { .. }
+            | F::Garbled { .. }
+            | F::OtherDrive { .. }
+            | F::Swapped { .. }
             | F::NotIndexed { .. }
             | F::NotSent { .. }
             | F::Line(_)

@@ -86,7 +86,7 @@ impl FaultText {
 
     /// Refuses keys that the kind uses on a CAN bus only.
     pub(super) fn check_at(&self, place: &FaultPlace) -> Result<(), Problem> {
-        let on_line = matches!(place, FaultPlace::Line(_));
+        let on_line = matches!(place, FaultPlace::Line { .. });
         let whole = self.kind == FaultKind::Late && self.probability.is_some();
         let unused = [("frame", self.frame.is_some()), ("probability", whole)];
         match unused.into_iter().find(|(_, given)| on_line && *given) {

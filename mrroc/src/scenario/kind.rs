@@ -59,6 +59,14 @@ pub enum FaultKind {
     DuplicateNode,
     /// A drive on a serial line repeats its last answer.
     AnswersFrozen,
+    /// Every second answer of a drive on a serial line is the answer before it again.
+    AnswersOld,
+    /// Every second answer of a drive on a serial line is sent after the next one.
+    AnswersReversed,
+    /// The answers of a drive on a serial line have wrong contents, with a right checksum if the telegram has one.
+    AnswersGarbled,
+    /// The answers of a drive on a serial line reach the host as those of the next axis of the robot, and the reverse.
+    AnswersSwapped,
     /// The heartbeats of a node do not arrive.
     HeartbeatSilent,
     /// A forged EMCY with `code`.
@@ -95,7 +103,7 @@ pub enum FaultKind {
 
 impl FaultKind {
     /// The kinds, each once.
-    pub const ALL: [Self; 38] = [
+    pub const ALL: [Self; 42] = [
         Self::Lost,
         Self::Late,
         Self::Duplicated,
@@ -118,6 +126,10 @@ impl FaultKind {
         Self::Unplugged,
         Self::DuplicateNode,
         Self::AnswersFrozen,
+        Self::AnswersOld,
+        Self::AnswersReversed,
+        Self::AnswersGarbled,
+        Self::AnswersSwapped,
         Self::HeartbeatSilent,
         Self::ForgedEmergency,
         Self::Blocked,
@@ -154,7 +166,12 @@ pub enum FaultPlace {
         period: Duration,
     },
     /// A serial line, with the axis controller at its end.
-    Line(DriveId),
+    Line {
+        /// The axis controller.
+        drive: DriveId,
+        /// That of the next axis of the robot, if it is on a line too.
+        next: Option<DriveId>,
+    },
 }
 
 /// Numbers of a fault.
@@ -243,8 +260,20 @@ impl FaultKind {
 
     /// Whether the place must have a drive.
     pub(super) fn is_of_drive(self) -> bool {
-        let of_device = matches!(self, Self::AnswersFrozen | Self::NodeReset | Self::PowerCycle | Self::Unplugged);
-        of_device || self.of_plant(&FaultNumbers::default()).is_some()
+        let of_device = matches!(self, Self::NodeReset | Self::PowerCycle | Self::Unplugged);
+        of_device || self.is_of_answers() || self.of_plant(&FaultNumbers::default()).is_some()
+    }
+
+    /// Whether the kind is a fault of the answers of an axis controller on a serial line.
+    fn is_of_answers(self) -> bool {
+        matches!(
+            self,
+            Self::AnswersFrozen
+                | Self::AnswersOld
+                | Self::AnswersReversed
+                | Self::AnswersGarbled
+                | Self::AnswersSwapped
+        )
     }
 
     /// The faults of the world, or what is wrong with the place.
@@ -253,11 +282,14 @@ impl FaultKind {
             let drive = place.drive().ok_or("is a fault of an axis: name the axis")?;
             return Ok(vec![WorldFault::Plant { drive, fault }]);
         }
-        if self == Self::AnswersFrozen && !matches!(place, FaultPlace::Line(_)) {
+        if self.is_of_answers() && !matches!(place, FaultPlace::Line { .. }) {
             return Err("is a fault of a serial line, and the place is on a bus");
         }
         let device = match self {
             Self::AnswersFrozen => Some(DeviceFault::AnswersFrozen),
+            Self::AnswersOld => Some(DeviceFault::AnswersOld),
+            Self::AnswersReversed => Some(DeviceFault::AnswersReversed),
+            Self::AnswersGarbled => Some(DeviceFault::AnswersGarbled),
             Self::NodeReset => Some(DeviceFault::Reset),
             Self::PowerCycle => Some(DeviceFault::PowerOff),
             Self::Unplugged => Some(DeviceFault::Unplugged),
@@ -269,8 +301,14 @@ impl FaultKind {
         }
         match *place {
             FaultPlace::Bus { bus, frames, node, period, .. } => self.on_bus(bus, frames, node, period, numbers),
-            FaultPlace::Line(DriveId::Line(line)) => self.on_line(line, numbers),
-            FaultPlace::Line(DriveId::Node(_)) => Err("is a fault of a serial line, and the drive is on a bus"),
+            FaultPlace::Line { drive: DriveId::Line(line), next } if self == Self::AnswersSwapped => match next {
+                Some(DriveId::Line(other)) => Ok(vec![WorldFault::SwappedAnswers { lines: [line, other] }]),
+                _ => Err("needs a second axis on a serial line"),
+            },
+            FaultPlace::Line { drive: DriveId::Line(line), .. } => self.on_line(line, numbers),
+            FaultPlace::Line { drive: DriveId::Node(_), .. } => {
+                Err("is a fault of a serial line, and the drive is on a bus")
+            }
         }
     }
 
@@ -371,7 +409,7 @@ impl FaultPlace {
     pub fn drive(&self) -> Option<DriveId> {
         match *self {
             Self::Bus { drive, .. } => drive,
-            Self::Line(drive) => Some(drive),
+            Self::Line { drive, .. } => Some(drive),
         }
     }
 }

@@ -304,9 +304,11 @@ impl FaultText {
 /// Place of the drive of an axis, given as robot and axis number; `None` for an absent drive.
 pub fn axis_place(file: &CellFile, ids: &DriveIds, (robot, number): (usize, usize)) -> Option<FaultPlace> {
     let drive = *ids.drives.get(&(robot, number))?;
-    let axis = &file.cell.robot[robot].axis[number];
+    let axes = &file.cell.robot[robot].axis;
+    let axis = &axes[number];
+    let next = || Some((number + 1) % axes.len()).filter(|next| *next != number);
     Some(match file.cell.bus.iter().position(|bus| bus.name == axis.bus) {
-        None => FaultPlace::Line(drive),
+        None => FaultPlace::Line { drive, next: next().and_then(|next| ids.drives.get(&(robot, next)).copied()) },
         Some(index) => FaultPlace::Bus {
             bus: ids.buses[index],
             frames: Frames::FromNode(axis.node),

@@ -136,11 +136,17 @@ impl Detector {
     fn of_axis_controller(fault: AxisControllerFault) -> Option<Self> {
         use AxisControllerFault as F;
         Some(match fault {
-            F::Silent { .. } | F::Delayed { .. } | F::Late { .. } => Self::Answers,
+            F::Silent { .. }
+            | F::Delayed { .. }
+            | F::Late { .. }
+            | F::Reversed { .. }
+            | F::Garbled { .. }
+            | F::OtherDrive { .. }
+            | F::Swapped { .. } => Self::Answers,
             F::NotSent { .. } => Self::Sending,
             F::Line(_) => Self::Port,
             F::Jumped { .. } => Self::Plausibility,
-            F::Frozen { .. } | F::Repeated { .. } => Self::Frozen,
+            F::Frozen { .. } | F::Repeated { .. } | F::Old { .. } => Self::Frozen,
             F::Restarted | F::KeepsReference { .. } | F::NotIndexed { .. } => Self::NodeState,
             F::PowerStage | F::Overcurrent | F::Error => Self::DriveStatus,
             // The origin of the stop is another axis of the cabinet.

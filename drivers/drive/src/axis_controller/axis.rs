@@ -4,9 +4,10 @@ use can::Instant;
 use serial::nfv2::Status;
 
 use super::AxisCounters;
-use super::config::{AxisConfig, Control, GroupConfig};
+use super::config::{AxisConfig, Control, GroupConfig, Protocol};
 use super::exchange::{Exchange, Reading};
 use super::fault::{AxisControllerFault, FaultLatch};
+use super::flaws::{self, Flaw, History};
 use super::phase::{Acknowledgement, Phase, PhaseEvent};
 use super::plausibility::{FreezeCheck, Measured, PositionCheck, Verdict};
 use super::stream::{Answer, Stream};
@@ -15,6 +16,9 @@ use crate::{AxisCommand, AxisState, Homing, Milliamperes, Power, Refusal, Scale,
 
 /// Cycles in a row that a drive may need to forget its reference, damaged answers included.
 const CYCLES_TO_UNREFERENCE: u32 = 25;
+
+/// Cycles within which the counters of two axes change places.
+const CYCLES_TO_SWAP: u32 = 8;
 
 /// Status bits of a drive that limits its motor, whose answers may stay the same.
 const LIMITED: u16 = Status::UPPER_LIMIT
@@ -41,6 +45,20 @@ pub(super) struct SerialAxis {
     stream: Stream,
     position_check: PositionCheck,
     freeze_check: FreezeCheck,
+    history: History,
+    /// Position of the last answer, accepted or not.
+    seen: i32,
+    /// Cycles for which another axis may find its counter here.
+    unsure: u32,
+    /// The counter jumped in this reading.
+    jumped: Option<AxisControllerFault>,
+    /// A reported fault. A telegram is left out before it counts: an answer then is that of another drive.
+    probed: Option<AxisControllerFault>,
+    /// Answers of the last reading: without a request, and the last request has none.
+    unasked: bool,
+    unanswered: bool,
+    /// The last telegram was left out.
+    left_out: bool,
     status: DebouncedStatus,
     measured: Measured,
     reference: Reference,
@@ -70,6 +88,8 @@ pub(super) struct Setup {
     /// Greatest plausible current, mA.
     greatest_current: u16,
     tolerated_missing: u32,
+    /// Answers name no drive, and the group has other drives: a telegram is left out before a reported fault counts.
+    pub(super) probes: bool,
 }
 
 /// Status bits, debounced: a bit counts when two answers in a row agree about it.
@@ -124,6 +144,7 @@ impl SerialAxis {
             // The protection acts after the current was there.
             greatest_current: limit.unsigned_abs().saturating_mul(3) / 2,
             tolerated_missing: group.tolerated_missing,
+            probes: false,
         };
         Self {
             setup,
@@ -134,6 +155,14 @@ impl SerialAxis {
             stream: Stream::new(group.protocol, config.address),
             position_check: PositionCheck::new(group, config),
             freeze_check: FreezeCheck::new(setup.full_scale),
+            history: History::default(),
+            seen: 0,
+            unsure: 0,
+            jumped: None,
+            probed: None,
+            unasked: false,
+            unanswered: false,
+            left_out: false,
             status: DebouncedStatus::default(),
             measured: Measured::default(),
             reference: Reference::default(),
@@ -158,6 +187,9 @@ impl SerialAxis {
         self.stream = stream;
         self.position_check.begin(answer.position.0, at);
         self.freeze_check = FreezeCheck::new(setup.full_scale);
+        self.history = History::default();
+        (self.seen, self.unsure) = (answer.position.0, 0);
+        (self.jumped, self.probed) = (None, None);
         self.measured.take(answer);
         let status = self.measured.status;
         self.status = DebouncedStatus { confirmed: status, last: status };
@@ -175,25 +207,66 @@ impl SerialAxis {
 
     pub(super) fn take(&mut self, bytes: &[u8], now: Instant) {
         let (owed, asked) = (self.exchange.outstanding(), self.exchange.asked());
+        let foreign = self.counters.foreign;
         let found = self.stream.take(bytes, owed, asked, &mut self.counters);
-        if let Some(answer) = self.exchange.receive(&found, &mut self.counters) {
-            self.judge(answer, now);
+        if let Some(address) = self.stream.foreign().filter(|_| self.counters.foreign > foreign) {
+            self.exchange.refuse(Flaw::OtherDrive(address));
         }
+        self.unsure = self.unsure.saturating_sub(1);
+        (self.unasked, self.unanswered) = (found.count > owed, owed > 0 && found.count == 0);
+        if let Some(answer) = self.exchange.receive(&found, &mut self.counters) {
+            self.seen = answer.position.0;
+            match self.flaw(answer, found.before) {
+                Some(flaw) => {
+                    self.counters.implausible += 1;
+                    self.exchange.refuse(flaw);
+                }
+                None => self.judge(answer, now),
+            }
+        }
+    }
+
+    /// What is wrong with an answer whose contents alone are plausible.
+    fn flaw(&self, answer: Answer, before: Option<Answer>) -> Option<Flaw> {
+        if self.setup.dialect.protocol == Protocol::Nfv2 {
+            return None;
+        }
+        let (expected, moved) = self.position_check.predicted(self.exchange.sent_at)?;
+        if before.is_some_and(|before| flaws::are_reversed(before, answer, moved)) {
+            return Some(Flaw::Reversed);
+        }
+        self.history.is_old(answer, expected, moved).then_some(Flaw::Old)
+    }
+
+    /// Whether the counter has jumped in this reading to the place of the counter of `other`, and the reverse.
+    pub(super) fn swaps_with(&self, other: &Self) -> bool {
+        let near = |of: &Self, seen: i32| {
+            let reach = of.position_check.reach_in(f64::from(CYCLES_TO_SWAP));
+            of.history.is_near(seen, reach)
+        };
+        let proven = self.probed.is_some() && self.unasked && other.unanswered;
+        proven || self.jumped.is_some() && other.unsure > 0 && near(other, self.seen) && near(self, other.seen)
     }
 
     fn judge(&mut self, answer: Answer, now: Instant) {
         let greatest = self.setup.greatest_current;
         if answer.current.is_some_and(|current| current.0.unsigned_abs() > greatest) {
             self.counters.implausible += 1;
+            self.exchange.refuse(Flaw::Garbled);
             return;
         }
         let may_index = self.phase.mode() == ControllerMode::Index || self.acknowledgement.may_index();
         let sent_at = self.exchange.sent_at;
         let mut indexed = false;
-        match self.position_check.judge(answer, sent_at, may_index) {
+        let verdict = self.position_check.judge(answer, sent_at, may_index);
+        if self.position_check.contradicts() {
+            self.exchange.refuse(Flaw::Garbled);
+        }
+        match verdict {
             Verdict::Plausible => {}
             Verdict::Implausible => {
                 self.counters.implausible += 1;
+                self.unsure = CYCLES_TO_SWAP;
                 return;
             }
             Verdict::Unconfirmed => {
@@ -211,12 +284,10 @@ impl SerialAxis {
                 }
                 let restarted = self.loses_reference(status.unwrap_or(self.status.last));
                 self.doubt_reference();
-                self.faults.latch(if restarted {
-                    AxisControllerFault::Restarted
-                } else {
-                    let to = answer.position.0;
-                    AxisControllerFault::Jumped { from, to }
-                });
+                let to = answer.position.0;
+                let jumped = AxisControllerFault::Jumped { from, to };
+                self.jumped = Some(if restarted { AxisControllerFault::Restarted } else { jumped });
+                self.unsure = CYCLES_TO_SWAP;
             }
         }
         self.accept(answer, now, indexed, may_index);
@@ -225,10 +296,14 @@ impl SerialAxis {
     fn accept(&mut self, answer: Answer, now: Instant, indexed: bool, may_index: bool) {
         self.counters.accepted += 1;
         self.exchange.reading = Reading::Accepted;
+        self.history.push(answer);
         let answers = &mut self.acknowledgement.answers;
         *answers = answers.saturating_add(1);
         (self.state.at, self.state.sampled) = (now, self.exchange.asked_at);
         if let Some(status) = answer.status {
+            if self.contradicts(status, may_index) {
+                self.exchange.refuse(Flaw::Garbled);
+            }
             self.look_for_pulse(answer.position.0, status);
             self.status.take(status);
         }
@@ -241,19 +316,22 @@ impl SerialAxis {
         self.measure();
         // A faulted drive is not told its mode any more.
         let answers = self.setup.dialect.answers_to_switch_on();
-        if !self.faults.is_latched() && self.acknowledgement.answers >= answers {
+        if !self.faults.is_latched() && self.jumped.is_none() && self.acknowledgement.answers >= answers {
             self.phase = self.phase.next(PhaseEvent::SwitchedOn);
         }
         if self.loses_reference(self.status.confirmed) {
             self.reference = Reference::Unknown;
-            self.faults.latch(AxisControllerFault::Restarted);
+            self.jumped.get_or_insert(AxisControllerFault::Restarted);
         }
         let forgetting = matches!(self.phase, Phase::Unreferencing { .. });
         let synchronized = self.status.confirmed.any(Status::SYNCHRONIZED);
         if self.reference == Reference::Unknown && synchronized && may_index && !forgetting {
             match self.pulse.seen {
                 true => self.reference = Reference::Known,
-                false => self.faults.latch(AxisControllerFault::NotIndexed { position: answer.position.0 }),
+                false => {
+                    let fault = AxisControllerFault::NotIndexed { position: answer.position.0 };
+                    _ = self.jumped.get_or_insert(fault);
+                }
             }
         }
         let responsive = self.phase.has_torque() && !self.status.confirmed.any(LIMITED);
@@ -261,6 +339,16 @@ impl SerialAxis {
             self.doubt_reference();
             self.faults.latch(AxisControllerFault::Frozen { cycles });
         }
+    }
+
+    /// Whether a drive with torque cannot show this status after its last one: only manual mode clears its own faults, and
+    /// only the index pulse gives it a reference.
+    fn contradicts(&self, status: Status, may_index: bool) -> bool {
+        const HELD: u16 = Status::OVERCURRENT | Status::ERROR;
+        let last = self.status.last;
+        let cleared = last.0 & !status.0 & HELD != 0;
+        let referenced = status.any(Status::SYNCHRONIZED) && !last.any(Status::SYNCHRONIZED);
+        self.phase.has_torque() && self.acknowledgement.is_complete() && (cleared || referenced && !may_index)
     }
 
     /// Judges the first answer with a reference. The pulse came after the last answer without one.
@@ -290,16 +378,27 @@ impl SerialAxis {
     /// Ends the reading of a cycle. `due` says whether the cycle before asked for an answer. Returns the state, and
     /// whether the answer is missing.
     pub(super) fn end_of_read(&mut self, due: bool) -> (AxisState, bool) {
+        if let Some(fault) = self.jumped.take() {
+            self.faults.latch(fault);
+        }
         let status = self.status.confirmed;
+        let doubt = self.exchange.doubt();
         let reported = [
             (Status::POWER_STAGE_FAULT, AxisControllerFault::PowerStage),
             (Status::OVERCURRENT, AxisControllerFault::Overcurrent),
             (Status::ERROR, AxisControllerFault::Error),
         ];
         // In an emergency stop the host itself told the drive to be in its error state.
+        let probed = self.probed.take();
+        probed.into_iter().for_each(|fault| self.faults.latch(fault));
         if self.phase != Phase::EmergencyStop {
             let reported = reported.into_iter().filter(|(bit, _)| status.any(*bit));
-            reported.for_each(|(_, fault)| self.faults.latch(fault));
+            let mut reported = reported.map(|(_, fault)| doubt.unwrap_or(fault));
+            if self.setup.probes && self.repeats && probed.is_none() && !self.faults.is_latched() {
+                self.probed = reported.next();
+            } else {
+                reported.for_each(|fault| self.faults.latch(fault));
+            }
         }
         let exchange = self.exchange.end_of_reading(due);
         for fault in exchange.faults.into_iter().flatten() {
@@ -448,7 +547,9 @@ impl SerialAxis {
 
     /// Leaves the telegram out where that can prove a delay of the answers. Returns whether it does.
     pub(super) fn leave_out(&mut self) -> bool {
-        let leaves_out = self.repeats && self.exchange.wants_gap();
+        let probes = self.probed.is_some() && !self.left_out;
+        let leaves_out = self.repeats && (self.exchange.wants_gap() || probes);
+        self.left_out = leaves_out;
         if leaves_out {
             self.exchange.leave_out(&mut self.counters);
         }

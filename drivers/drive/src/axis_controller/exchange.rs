@@ -6,6 +6,7 @@ use super::AxisCounters;
 use super::config::Protocol;
 use super::delay::{Gaps, Requests, Timing, by_objects};
 use super::fault::AxisControllerFault;
+use super::flaws::{Doubt, Flaw, Flaws};
 use super::objects::Objects;
 use super::stream::{Answer, Found};
 
@@ -45,6 +46,7 @@ pub(super) struct Exchange {
     /// Telegrams in a row that the line did not take.
     unsent: u32,
     window: Window,
+    doubt: Doubt,
 }
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -67,6 +69,7 @@ struct Run {
     silent: u32,
     /// Delay of the last late answer, periods.
     late: Option<u32>,
+    flaws: Flaws,
 }
 
 /// Successive answers with the same objects.
@@ -82,6 +85,7 @@ struct Window {
     due: u32,
     missing: u32,
     late: u32,
+    flaws: Flaws,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -114,6 +118,7 @@ impl Exchange {
             run: Run::default(),
             unsent: 0,
             window: Window::default(),
+            doubt: Doubt::default(),
         }
     }
 
@@ -168,12 +173,25 @@ impl Exchange {
         }
     }
 
+    /// Takes what is wrong with a refused answer.
+    pub(super) fn refuse(&mut self, flaw: Flaw) {
+        self.run.flaws.add(flaw);
+        self.window.flaws.add(flaw);
+        self.doubt.add(flaw);
+    }
+
+    /// The fault that takes the place of what the drive reports, if its answers are not to be believed.
+    pub(super) fn doubt(&self) -> Option<AxisControllerFault> {
+        self.doubt.fault()
+    }
+
     /// Ends the reading of a cycle. `attempted` says whether the cycle before asked for an answer, or left out its
     /// telegram.
     pub(super) fn end_of_reading(&mut self, attempted: bool) -> EndOfReading {
         let reading = std::mem::take(&mut self.reading);
         let due = attempted && !std::mem::take(&mut self.left_out);
         self.requests.age();
+        self.doubt.age();
         if reading == Reading::Accepted {
             (self.age, self.run) = (0, Run::default());
         } else {
@@ -183,9 +201,9 @@ impl Exchange {
         let came_late = due && matches!(reading, Reading::Late(_));
         let missing = came_late || due && reading == Reading::Missing;
         let tolerated = self.tolerated_missing;
-        let Run { telegrams: cycles, silent, late } = self.run;
+        let Run { telegrams: cycles, silent, late, flaws } = self.run;
         let not_sent = AxisControllerFault::NotSent { cycles: self.unsent };
-        let silence = AxisControllerFault::Silent { cycles: silent };
+        let silence = flaws.explain(silent).unwrap_or(AxisControllerFault::Silent { cycles: silent });
         let delayed = late.map(|periods| AxisControllerFault::Delayed { cycles, periods });
         let repeated = AxisControllerFault::Repeated { answers: self.repeats.answers };
         // Short gaps are tolerated one by one, and a loop on old samples is still unsafe.
@@ -260,11 +278,11 @@ impl Window {
         self.due += u32::from(due);
         self.missing += u32::from(missing);
         self.late += u32::from(late);
-        let Self { due: cycles, missing, late } = *self;
+        let Self { due: cycles, missing, late, flaws } = *self;
         let often = missing - late > MISSING_IN_WINDOW || missing > LATE_IN_WINDOW;
         if often || cycles >= WINDOW {
             *self = Self::default();
         }
-        often.then_some(AxisControllerFault::Late { missing, cycles })
+        often.then(|| flaws.explain(missing).unwrap_or(AxisControllerFault::Late { missing, cycles }))
     }
 }

@@ -25,6 +25,22 @@ pub enum AxisControllerFault {
     /// The last answers had the same objects, although their requests asked for different ones. An emergency stop.
     #[error("the same answer to {answers} different requests: look for what repeats it, switch the drive off and on")]
     Repeated { answers: u32 },
+    /// Answers that were accepted before came again, while the motor moved on. An emergency stop.
+    #[error("{answers} old answers again while the motor moves: check the adapter and what else is on the line")]
+    Old { answers: u32 },
+    /// Answers came in the reversed order of their requests. An emergency stop.
+    #[error("answers in reversed order, {answers} pairs: check the adapter and its driver")]
+    Reversed { answers: u32 },
+    /// Answers were whole and had contents that contradict each other. An emergency stop.
+    #[error("{answers} whole answers with wrong contents: check cable, shield and ground, and the drive")]
+    Garbled { answers: u32 },
+    /// The answers have the address of another drive. An emergency stop.
+    #[error("answers come from address {address}: check which line goes where")]
+    OtherDrive { address: u8 },
+    /// The answers are those of the axis at `line`: the counters have changed places, or an answer came without a request. An
+    /// emergency stop.
+    #[error("answers are those of line {line}: check which line goes where, and the adapter")]
+    Swapped { line: u8 },
     /// More than a quarter of the answers due, 200 at most, were missing or refused, or more than half of them missing or
     /// late, in gaps that are tolerated one by one.
     #[error(
@@ -81,6 +97,11 @@ impl AxisControllerFault {
             | Self::Jumped { .. }
             | Self::Frozen { .. }
             | Self::Delayed { .. }
+            | Self::Old { .. }
+            | Self::Reversed { .. }
+            | Self::Garbled { .. }
+            | Self::OtherDrive { .. }
+            | Self::Swapped { .. }
             | Self::Repeated { .. } => true,
             Self::Restarted
             | Self::Late { .. }

@@ -52,6 +52,9 @@
 //! - A position beyond reach in three answers is a jump of the counter, which is a fault.
 //! - A position near zero in two answers is the index pulse, if a search is on and the drive reports its reference.
 //!
+//! A fault names what explains more than half of the refused answers: old, reversed or garbled ones, or those of another
+//! drive (`flaws`, which lists what is not seen).
+//!
 //! Refused answers are counted ([`AxisCounters`]) and count as missing. `drivers/drive/benches/robustness/results.md`
 //! lists the error rates of accepted answers.
 //!
@@ -75,6 +78,7 @@ mod config;
 mod delay;
 mod exchange;
 mod fault;
+mod flaws;
 mod objects;
 mod phase;
 mod plausibility;
@@ -165,12 +169,11 @@ impl<L: Line> AxisControllerGroup<L> {
     pub fn new(lines: Vec<L>, config: GroupConfig, axes: &[AxisConfig]) -> Result<Self, ConfigError> {
         config.check(axes, lines.len())?;
         let controllers = lines.into_iter().zip(axes).zip(0..);
-        let controllers = controllers.map(|((line, &of_axis), index)| Controller {
-            line,
-            config: of_axis,
-            axis: SerialAxis::new(&config, &of_axis, index),
-            bring_up: None,
-            setpoint: None,
+        let probes = config.protocol == Protocol::HiMoxa && axes.len() > 1;
+        let controllers = controllers.map(|((line, &of_axis), index)| {
+            let mut axis = SerialAxis::new(&config, &of_axis, index);
+            axis.setup.probes = probes;
+            Controller { line, config: of_axis, axis, bring_up: None, setpoint: None }
         });
         Ok(Self {
             config,
@@ -185,6 +188,23 @@ impl<L: Line> AxisControllerGroup<L> {
     /// What was counted of each axis.
     pub fn axis_counters(&self) -> impl Iterator<Item = AxisCounters> {
         self.controllers.iter().map(|controller| controller.axis.counters)
+    }
+
+    /// Finds axes that get the answers of each other. NFv2 answers name their drive.
+    fn find_swapped(&mut self) {
+        if self.config.protocol == Protocol::Nfv2 {
+            return;
+        }
+        for index in 0..self.controllers.len() {
+            let axis = &self.controllers[index].axis;
+            let others = (0_u8..).zip(&self.controllers);
+            let mut swapped =
+                others.filter(|(line, other)| usize::from(*line) != index && axis.swaps_with(&other.axis));
+            let line = swapped.next().map(|(line, _)| line);
+            if let Some(line) = line {
+                self.controllers[index].axis.faults.latch(AxisControllerFault::Swapped { line });
+            }
+        }
     }
 
     fn advance_bring_up(&mut self, now: Instant) -> Result<bool, BringUpError> {
@@ -232,12 +252,16 @@ impl<L: Line> DriveGroup for AxisControllerGroup<L> {
 
     fn read(&mut self, now: Instant, states: &mut [AxisState]) {
         self.now = now;
-        for (controller, state) in self.controllers.iter_mut().zip(states) {
+        for controller in &mut self.controllers {
             let Controller { line, axis, .. } = controller;
             match line.read(now, &mut self.buffer[..]) {
                 Ok(count) => axis.take(&self.buffer[..count], now),
                 Err(error) => axis.faults.latch(AxisControllerFault::Line(error)),
             }
+        }
+        self.find_swapped();
+        for (controller, state) in self.controllers.iter_mut().zip(states) {
+            let axis = &mut controller.axis;
             let (read, missing) = axis.end_of_read(self.attempted);
             *state = read;
             self.counters.missed_answers += u64::from(missing && axis.exchange.was_sent());

@@ -43,6 +43,8 @@ pub(super) struct PositionCheck {
     /// Velocity between the last two accepted positions, increments/s, and the time between them, s.
     velocity: Option<(f64, f64)>,
     candidate: Option<Candidate>,
+    /// The last answer contradicted the one before.
+    contradicted: bool,
     steps: StepCheck,
 }
 
@@ -90,6 +92,7 @@ impl PositionCheck {
             last: None,
             velocity: None,
             candidate: None,
+            contradicted: false,
             steps: StepCheck::new(StepBounds {
                 max_acceleration: axis.max_acceleration * counts,
                 latest: group.period.as_secs_f64() * f64::from(group.tolerated_missing.saturating_add(LATER)),
@@ -102,7 +105,25 @@ impl PositionCheck {
         self.last = Some(Sample { position, at });
         self.velocity = None;
         self.candidate = None;
+        self.contradicted = false;
         self.steps.forget();
+    }
+
+    /// Whether the last answer judged contradicts the one before, whose position was beyond reach.
+    pub(super) fn contradicts(&self) -> bool {
+        self.contradicted
+    }
+
+    /// Position that the velocity predicts at `at`, and the displacement per period, increments.
+    pub(super) fn predicted(&self, at: Instant) -> Option<(f64, f64)> {
+        let (last, velocity) = (self.last?, self.velocity());
+        let dt = at.since(last.at).as_secs_f64();
+        Some((f64::from(last.position) + velocity * dt, velocity * self.period))
+    }
+
+    /// Greatest distance in `periods`, increments.
+    pub(super) fn reach_in(&self, periods: f64) -> f64 {
+        self.reach(periods * self.period)
     }
 
     /// Judges an answer whose request left at `at`. `may_index` says that the index pulse may have zeroed the counter.
@@ -115,6 +136,7 @@ impl PositionCheck {
         let dt = self.elapsed(last, new);
         let moved = f64::from(new.position.wrapping_sub(last.position));
         let within_reach = moved.abs() <= self.reach(dt);
+        self.contradicted = self.candidate.is_some_and(|candidate| candidate.beyond_reach);
         if within_reach && self.plausible(moved, dt) {
             return self.accept_motion(new, moved, dt, answer.status, may_index);
         }
@@ -122,6 +144,7 @@ impl PositionCheck {
             let moved = f64::from(new.position.wrapping_sub(candidate.last.position));
             moved.abs() <= self.reach(self.elapsed(candidate.last, new))
         });
+        self.contradicted = self.contradicted && agree.is_none();
         let answers = agree.map_or(0, |candidate| candidate.answers) + 1;
         let near_zero = f64::from(new.position).abs() <= self.reach(dt);
         let referenced = |status: Option<Status>| status.is_none_or(|status| status.any(Status::SYNCHRONIZED));

@@ -70,6 +70,8 @@ enum StartByte {
 pub(super) struct Found {
     /// The last answer; in NFv2 the last one with the objects of the last request, if there is one.
     pub(super) answer: Option<Answer>,
+    /// The answer before the last one, in the older protocol.
+    pub(super) before: Option<Answer>,
     pub(super) count: u32,
 }
 
@@ -170,18 +172,21 @@ impl Stream {
             }
             (_, 0) => return Found::default(),
         };
-        let mut answer = [0; hi_moxa::ANSWER];
         if whole {
-            let last = bytes.len().min(hi_moxa::ANSWER);
-            let (front, back) = answer.split_at_mut(hi_moxa::ANSWER - last);
-            front.copy_from_slice(&self.held[..front.len()]);
-            back.copy_from_slice(&bytes[bytes.len() - last..]);
-            let answer = hi_moxa::Answer::decode(answer);
+            // The bytes of the reading behind those of the one before; `from_end` counts whole answers.
+            let answer = |from_end: usize| {
+                let start = self.held[..before].iter().chain(bytes).rev().skip(from_end * hi_moxa::ANSWER);
+                let mut answer = [0; hi_moxa::ANSWER];
+                answer.iter_mut().rev().zip(start).for_each(|(to, from)| *to = *from);
+                hi_moxa::Answer::decode(answer)
+            };
+            let before = (count > 1).then(|| translated(answer(1)));
+            let answer = answer(0);
             if matches!(self.start, StartByte::Constant(start) if start != answer.start) {
                 counters.damaged += 1;
                 return Found::default();
             }
-            return Found { answer: Some(translated(answer)), count: count as u32 };
+            return Found { answer: Some(translated(answer)), before, count: count as u32 };
         }
         counters.damaged += 1;
         if bytes.len() < hi_moxa::ANSWER {
