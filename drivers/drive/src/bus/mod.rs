@@ -29,6 +29,7 @@ mod sensors;
 mod service;
 mod step;
 mod syncs;
+pub mod times;
 mod traffic;
 
 use std::task::Poll;
