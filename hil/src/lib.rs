@@ -45,6 +45,7 @@ pub use force_sensor::{
     SerialForceSensorConfig, TemperatureCourse, TransducerConfig,
 };
 pub use line::{LineFaults, LineStatistics, Stuck, WireFaults};
+pub use node::BOOT_DELAY;
 pub use plant::{
     AngleProbe, AxisConfig, Demand, Feedback, Irp6Axis, Mechanism, MechanismConfig, Mount, PlantAxis, PlantConfig,
     PlantFault, Trip,

@@ -7,6 +7,7 @@ use can::Instant;
 use canopen::NodeId;
 
 use super::probe::InputProbe;
+use crate::node::BOOT_DELAY;
 use crate::plant::AngleProbe;
 use crate::scene::BeamProbe;
 
@@ -63,7 +64,7 @@ impl DigitalIoConfig {
             output_bytes: 1,
             filter_time: Duration::from_millis(3),
             power_on: Instant::ZERO,
-            boot_delay: Duration::from_millis(50),
+            boot_delay: BOOT_DELAY,
             answer_delay: Duration::from_micros(300),
             edges: Vec::new(),
             light_gates: Vec::new(),

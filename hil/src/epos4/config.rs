@@ -5,6 +5,7 @@ use std::time::Duration;
 use can::Instant;
 use canopen::NodeId;
 
+use crate::node::BOOT_DELAY;
 use crate::plant::{AxisConfig, Mount};
 
 /// Configuration of one unit.
@@ -89,7 +90,7 @@ impl Epos4Config {
             revision: 0x0170_0000,
             serial: 0x1000_0000 + u32::from(node.raw()),
             power_on: Instant::ZERO,
-            boot_delay: Duration::from_millis(50),
+            boot_delay: BOOT_DELAY,
             answer_delay: Duration::from_micros(300),
             main_sensor_resolution: None,
             rated_torque: None,

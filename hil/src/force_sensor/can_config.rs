@@ -6,6 +6,7 @@ use can::Instant;
 use canopen::NodeId;
 
 use super::TransducerConfig;
+use crate::node::BOOT_DELAY;
 
 /// Configuration of one sensor on a CAN bus.
 #[derive(Clone, Debug)]
@@ -79,7 +80,7 @@ impl CanForceSensorConfig {
             revision: 0x0001_0000,
             serial: 0x3000_0000 + u32::from(node.raw()),
             power_on: Instant::ZERO,
-            boot_delay: Duration::from_millis(50),
+            boot_delay: BOOT_DELAY,
             answer_delay: Duration::from_micros(300),
             transducer,
             width: CountWidth::Bits16,

@@ -29,6 +29,8 @@ use pdo::Pdos;
 
 /// Time after which a transfer is abandoned because the client has sent nothing.
 const SDO_TIME_OUT: Duration = Duration::from_secs(1);
+/// Delay from power-on or reset to the boot-up frame of an emulated device, unless its configuration has another one.
+pub const BOOT_DELAY: Duration = Duration::from_millis(50);
 /// Capacity of a device's transmit queue. Further frames are lost, as in a full controller.
 const QUEUE: usize = 32;
 

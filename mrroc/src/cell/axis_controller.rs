@@ -25,7 +25,7 @@ pub struct Serial {
     /// Deadline of the answer to a parameter, ms, at most 1000.
     #[serde(default = "defaults::count::<10, u32>")]
     pub answer_timeout_ms: u32,
-    /// Latency timer of the USB adapter between host and line, ms, where one is to be emulated; none
+    /// Latency timer of the USB adapter between host and line, ms, below the servo period, where one is to be emulated; none
     /// for a card.
     pub emulated_latency_ms: Option<u32>,
 }

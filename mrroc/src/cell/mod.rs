@@ -154,16 +154,18 @@ pub struct Bus {
     /// Node-ID of the host, whose heartbeat the drives watch.
     #[serde(default = "defaults::count::<127, u8>")]
     pub host_node: u8,
-    /// Period of every heartbeat on the bus, ms. Three periods without a heartbeat are a fault.
+    /// Period of every heartbeat on the bus, ms, at least the servo period. Three periods without a heartbeat are a fault.
     #[serde(default = "defaults::count::<100, u16>")]
     pub heartbeat_ms: u16,
     /// Tolerated number of cycles in a row without an answer of a drive; one more is a fault.
     #[serde(default = "defaults::count::<5, u32>")]
     pub tolerated_missing: u32,
-    /// Time-out of an SDO answer, ms.
+    /// Time-out of an SDO answer, ms: at least one servo period per node of the bus. In operation, one request leaves per
+    /// cycle, and the nodes take turns.
     #[serde(default = "defaults::count::<500, u32>")]
     pub sdo_timeout_ms: u32,
-    /// Time-out of a node's boot, ms.
+    /// Time-out of a node's boot, from its reset to its first answer, ms. An emulated node boots in 50 ms and answers in the
+    /// next cycle; real nodes take longer.
     #[serde(default = "defaults::count::<2_000, u32>")]
     pub boot_timeout_ms: u32,
     /// Whether the guardian stops all nodes of the bus by an NMT command when the servo is silent. Drives stop by themselves

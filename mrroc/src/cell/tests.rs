@@ -11,6 +11,7 @@ mod names;
 mod ranging;
 mod scene;
 mod shape;
+mod times;
 mod workpiece;
 
 use super::*;

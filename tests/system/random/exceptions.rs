@@ -32,8 +32,6 @@ const OTHER_DRIVE: &str = "the emulated drive is another one than the cell expec
 
 const NO_LOOP: &str = "the rehearsal closes no loop";
 
-const LATE: &str = "the run finds out how late a device answers";
-
 /// Faults of a badly tuned loop.
 const OF_A_LOOP: &[&str] = &[
     "following error",
@@ -124,10 +122,6 @@ const EXCEPTIONS: &[Exception] = &[
     ),
     faulted("robot.axis.controller.loop.", OF_A_LOOP, NO_LOOP),
     faulted("robot.axis.controller.control", OF_A_LOOP, NO_LOOP),
-    faulted("bus.sdo_timeout_ms", &["SDO protocol timed out"], LATE),
-    refused("bus.sdo_timeout_ms", &["timed out"], LATE),
-    refused("bus.boot_timeout_ms", &["never booted"], LATE),
-    refused("serial.emulated_latency_ms", &["answers took more than a period", "no answer, waited"], LATE),
 ];
 
 impl Exception {

@@ -31,6 +31,7 @@ mod service;
 mod start;
 mod step;
 mod syncs;
+pub mod times;
 mod traffic;
 
 use std::task::Poll;

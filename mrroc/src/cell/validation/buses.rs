@@ -1,8 +1,21 @@
 //! Checks of buses and bundles of serial lines.
 
+use std::time::Duration;
+
+use drive::bus::times::{least_boot_timeout, least_sdo_timeout};
+
 use super::{Checked, MOST, name, refused, some, twice, unique, within};
 use crate::cell::{Cell, Path, Range};
 use crate::{bench::interfaces::Interface, cell::text::quoted};
+
+/// Longest period of a heartbeat, ms.
+const LONGEST_HEARTBEAT_MS: f64 = 1e4;
+
+/// Longest time-out of an SDO answer and of a boot, ms.
+const LONGEST_TIMEOUT_MS: f64 = 6e4;
+
+/// Longest latency timer of a USB adapter, ms: its register has 8 bits.
+const LONGEST_LATENCY_MS: f64 = 255.0;
 
 pub(super) fn check(cell: &Cell) -> Checked {
     let groups = cell.bus.len() + cell.serial.len();
@@ -74,14 +87,26 @@ fn check_buses(cell: &Cell) -> Checked {
         }
         let node = Range::new(1.0, 127.0, "");
         let cycles = Range::new(0.0, 1000.0, "cycles");
-        let [ten_seconds, minute] = [1e4, 6e4].map(|most| Range::new(1.0, most, "ms"));
         within(&path, "host_node", bus.host_node, node)?;
-        within(&path, "heartbeat_ms", bus.heartbeat_ms, ten_seconds)?;
         within(&path, "tolerated_missing", bus.tolerated_missing, cycles)?;
-        within(&path, "sdo_timeout_ms", bus.sdo_timeout_ms, minute)?;
-        within(&path, "boot_timeout_ms", bus.boot_timeout_ms, minute)?;
+        check_times(cell, index, &path)?;
     }
     Ok(())
+}
+
+/// The times of bus `index` fit the servo period and the number of nodes.
+fn check_times(cell: &Cell, index: usize, path: &Path) -> Checked {
+    let (bus, period) = (&cell.bus[index], cell.period());
+    let nodes = cell.axes_on(index).count() + cell.io_on(index).count() + cell.sensors_on(index).count();
+    let at_least = |least: Duration, most, of| Range::new(least.as_secs_f64() * 1e3, most, of);
+    let of = "ms, at least the servo period: the host sends one heartbeat per cycle at the most";
+    within(path, "heartbeat_ms", bus.heartbeat_ms, at_least(period, LONGEST_HEARTBEAT_MS, of))?;
+    let of = "ms, at least one period per node of the bus: one request leaves per cycle";
+    let range = at_least(least_sdo_timeout(period, nodes), LONGEST_TIMEOUT_MS, of);
+    within(path, "sdo_timeout_ms", bus.sdo_timeout_ms, range)?;
+    let of = "ms: an emulated node boots in 50 ms, and answers a cycle later; real nodes take longer";
+    let range = at_least(least_boot_timeout(period, nodes, hil::BOOT_DELAY), LONGEST_TIMEOUT_MS, of);
+    within(path, "boot_timeout_ms", bus.boot_timeout_ms, range)
 }
 
 fn check_serial(cell: &Cell) -> Checked {
@@ -97,11 +122,20 @@ fn check_serial(cell: &Cell) -> Checked {
         unique(&bundles, "name", index, cell.serial.iter().map(|it| &it.name), |name| what(name))?;
         let latency = bundle.emulated_latency_ms.unwrap_or(1);
         let (bauds, cycles) = (Range::new(9_600.0, 4e6, "bit/s"), Range::new(1.0, 10.0, "cycles"));
-        let [second, timer] = [1000.0, 255.0].map(|most| Range::new(1.0, most, "ms"));
+        let second = Range::new(1.0, 1000.0, "ms");
+        let timer = Range::new(1.0, LONGEST_LATENCY_MS, "ms");
         within(&path, "baud", bundle.baud, bauds)?;
         within(&path, "tolerated_missing", bundle.tolerated_missing, cycles)?;
         within(&path, "answer_timeout_ms", bundle.answer_timeout_ms, second)?;
         within(&path, "emulated_latency_ms", latency, timer)?;
+        if let Some(latency) = bundle.emulated_latency_ms.filter(|it| 1_000 * it >= cell.period_us) {
+            let period = cell.period_us / 1_000;
+            let why = format!(
+                "is {latency}, must be below the servo period of {period} ms: an answer waits for the latency timer, \
+                 and has to come within a period"
+            );
+            return refused(&path, "emulated_latency_ms", why);
+        }
     }
     Ok(())
 }
