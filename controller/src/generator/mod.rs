@@ -63,6 +63,7 @@ pub(crate) mod digest;
 mod error;
 mod execution;
 mod feed;
+mod guide;
 mod image;
 mod images;
 mod jerk_limited;
@@ -75,7 +76,9 @@ mod path_timing;
 mod plan;
 mod polynomial;
 mod profile;
+mod progress;
 mod selection;
+mod survey;
 #[cfg(test)]
 mod tests;
 mod time_optimal;

@@ -4,6 +4,7 @@ mod combined;
 mod constant_velocity;
 mod contour;
 mod feed;
+mod limits;
 mod line;
 mod planned_start;
 mod polynomial;
