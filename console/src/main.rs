@@ -21,7 +21,7 @@ use mrroc::cell::{Cell, CellFile};
 use mrroc::outputs::Measured;
 use mrroc::recording::{self, ReplayOptions};
 use mrroc::scenario::Scenario;
-use mrroc::{streams, tasks::CarriedTask};
+use mrroc::{signals, streams, tasks::CarriedTask};
 use serde::Serialize;
 
 /// Exit status in the help text: scripts may rely on it.
@@ -64,6 +64,12 @@ enum Command {
     /// Stop the controller of a cell that runs on this computer in another process: its robots brake, and their drives go
     /// off.
     Stop(service::stop::Options),
+    /// Wait for a run with `--guardian SOCKET`, and become its guardian. A service manager starts this process, so that
+    /// whatever ends the controller's service leaves the guardian. The process ends after the run.
+    Guard {
+        /// The Unix socket to wait at.
+        socket: PathBuf,
+    },
     /// Replay a recording of `run --record FILE.mcap` through the drivers and the servo of this version, and compare all
     /// outputs bit for bit. Opens no device. A recording that was cut replays up to its last whole chunk, and a damaged
     /// recording up to its first damaged chunk. Exit status 0 if all replayed outputs are equal, 1 if an output differs,
@@ -165,13 +171,26 @@ fn main() -> ExitCode {
         Ok(arguments) => arguments,
         Err(error) => return usage::answer(&error),
     };
-    let result = match arguments.command {
+    let blocked = signals::block_signals_of_writes();
+    let result = blocked.and_then(|()| answer(arguments.command));
+    result.unwrap_or_else(|refusal| {
+        if refusal.is::<service::Interrupted>() {
+            return ExitCode::from(1);
+        }
+        streams::refuse(&refusal);
+        ExitCode::from(2)
+    })
+}
+
+fn answer(command: Command) -> anyhow::Result<ExitCode> {
+    match command {
         Command::Check { cell, task, json } => check(&cell, task, json),
         Command::Doctor(options) => host::doctor::doctor(&options),
         Command::Run { cell, task, options } => {
             CellFile::read(&cell).and_then(|file| mrroc::run_program(&file, &options, &task.program()))
         }
         Command::Stop(options) => service::stop::stop(&options),
+        Command::Guard { socket } => mrroc::guardian::separate::guard(&socket).map(|never| match never {}),
         Command::Replay { file, cell, diff, json } => replay(&file, cell, diff, json),
         Command::Faults { cell, options, replacement } => faults::faults(&cell, &options, replacement),
         Command::Emulate(options) => emulate::emulate(&options),
@@ -194,14 +213,7 @@ fn main() -> ExitCode {
         Command::Schema { scenario: true, .. } => scenario_schema(),
         Command::Schema { reference, .. } => schema(reference),
         Command::Manual { directory, replacement } => manual::write(Arguments::command(), &directory, replacement),
-    };
-    result.unwrap_or_else(|refusal| {
-        if refusal.is::<service::Interrupted>() {
-            return ExitCode::from(1);
-        }
-        streams::refuse(&refusal);
-        ExitCode::from(2)
-    })
+    }
 }
 
 fn check(cell: &Path, task: CarriedTask, json: bool) -> anyhow::Result<ExitCode> {

@@ -58,7 +58,7 @@ pub fn program(cell: &str, task: impl AsyncFn(&mut Cell) -> Outcome + Send + Syn
 
 /// Runs `program` with a progress bar and prints the report. Signals that end a process first brake the robots.
 pub fn run_program(file: &CellFile, options: &ProgramOptions, program: &Program) -> anyhow::Result<ExitCode> {
-    signals::block_suspension()?;
+    signals::block_signals_of_writes()?;
     let requests = Requests::default();
     let flags = [
         &requests.spikes,

@@ -13,16 +13,16 @@ use libc::{SIGPWR, SIGSTKFLT};
 use nix::sys::signal::{SigSet, Signal};
 use signal_hook::consts::{
     SIGABRT, SIGALRM, SIGHUP, SIGINT, SIGIO, SIGPROF, SIGQUIT, SIGSYS, SIGTERM, SIGTRAP, SIGTSTP, SIGUSR1, SIGUSR2,
-    SIGVTALRM, SIGXCPU, SIGXFSZ,
+    SIGVTALRM, SIGXCPU,
 };
 use signal_hook::iterator::Signals;
 
 use crate::{bench::BenchKind, run::SMALL_STACK};
 
 /// Signals that end a process, except the real-time signals.
-const ENDING: [c_int; 17] = [
-    SIGHUP, SIGINT, SIGQUIT, SIGTRAP, SIGABRT, SIGUSR1, SIGUSR2, SIGALRM, SIGTERM, SIGSTKFLT, SIGXCPU, SIGXFSZ,
-    SIGVTALRM, SIGPROF, SIGIO, SIGPWR, SIGSYS,
+const ENDING: [c_int; 16] = [
+    SIGHUP, SIGINT, SIGQUIT, SIGTRAP, SIGABRT, SIGUSR1, SIGUSR2, SIGALRM, SIGTERM, SIGSTKFLT, SIGXCPU, SIGVTALRM,
+    SIGPROF, SIGIO, SIGPWR, SIGSYS,
 ];
 
 /// Number of signals after which a command is ended at once, if nothing can be in motion.
@@ -73,10 +73,11 @@ pub fn ending_flag() -> anyhow::Result<Arc<AtomicBool>> {
     Ok(ended)
 }
 
-/// Keeps SIGTTIN and SIGTTOU from suspending this thread and the threads that it starts. Writes to the terminal then
-/// succeed in the background, also under `stty tostop`.
-pub fn block_suspension() -> anyhow::Result<()> {
-    let signals: SigSet = [Signal::SIGTTIN, Signal::SIGTTOU].into_iter().collect();
+/// Keeps SIGTTIN, SIGTTOU and SIGXFSZ from this thread and the threads that it starts. Writes to the terminal then succeed
+/// in the background, also under `stty tostop`, and a write beyond the limit of file size (`ulimit -f`) fails like a write
+/// to a full disk.
+pub fn block_signals_of_writes() -> anyhow::Result<()> {
+    let signals: SigSet = [Signal::SIGTTIN, Signal::SIGTTOU, Signal::SIGXFSZ].into_iter().collect();
     signals.thread_block().context("SIGTTOU cannot be blocked")
 }
 

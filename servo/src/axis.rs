@@ -6,6 +6,7 @@ use drive::{AxisCommand, AxisState, Finite, Homing, Increments, Power, Setpoint}
 use crate::config::FrozenWatch;
 use crate::excitation::Playing;
 use crate::host_loop::Loop;
+use crate::oscillation::{Bounds, Finding, Oscillation, OscillationWatch};
 use crate::progress::Progress;
 use crate::reference_watch::ReferenceWatch;
 use crate::search::Search;
@@ -60,6 +61,9 @@ pub(crate) struct ServoAxis {
     /// The last change of the measured position.
     change: Change,
     progress: Progress,
+    oscillation: OscillationWatch,
+    /// The greatest oscillation of the run, and the number of the cycle that found the first one.
+    pub(crate) oscillates: Option<(Oscillation, u64)>,
     /// The axis is off while the others brake, because its measured position does not change.
     pub(crate) cut: bool,
     /// The counter may have lost counts, and the drive was not told yet.
@@ -93,6 +97,8 @@ impl ServoAxis {
             reference: ReferenceWatch::default(),
             change: Change::default(),
             progress: Progress::default(),
+            oscillation: OscillationWatch::default(),
+            oscillates: None,
             cut: false,
             doubted: false,
             host: match config.position_loop {
@@ -119,6 +125,7 @@ impl ServoAxis {
         let braked = state.power == Power::On && (state.following || state.homing == Homing::InProgress);
         if set || !braked {
             self.progress.forget();
+            self.oscillation.forget();
         }
         if let Some(step) = step
             && led
@@ -164,6 +171,29 @@ impl ServoAxis {
     /// Discards the output that held the load of the motor at its last rest.
     pub(crate) fn forget_load(&mut self) {
         self.host.iter_mut().for_each(Loop::forget);
+    }
+
+    /// Takes the following error of cycle `number`, rad. Returns an oscillation that grows, if the servo closes the loop.
+    /// Another oscillation is noted. `elapsed` is the time since the last cycle, s.
+    pub(crate) fn watch_oscillation(&mut self, error: f64, number: u64, elapsed: f64) -> Option<Oscillation> {
+        let ServoAxisConfig { increments_per_radian, max_acceleration, following_error, .. } = self.config;
+        let still_below = self.still_below();
+        let bounds = Bounds { increments_per_radian, still_below, max_acceleration, following_error };
+        if self.excitation != 0.0 || !self.is_homed() {
+            self.oscillation.forget();
+            return None;
+        }
+        self.oscillation.command(self.knot.velocity, elapsed, &bounds);
+        if self.state.age > 0 {
+            return None;
+        }
+        let found = self.oscillation.observe(error, &bounds)?;
+        let (Finding::Lasting(it) | Finding::Growing(it)) = found;
+        let (worst, _) = self.oscillates.get_or_insert((it, number));
+        if it.velocity() > worst.velocity() {
+            *worst = it;
+        }
+        matches!(found, Finding::Growing(_)).then_some(it).filter(|_| self.is_host_closed())
     }
 
     /// Counts the tracking error of a new sample, rad, while the effector is in `state`.
@@ -331,6 +361,7 @@ impl ServoAxis {
     /// The last set-points were repeated, because a bus refused some: the drive may have stopped the motor at once.
     pub(crate) fn was_refused(&mut self) {
         self.progress.forget();
+        self.oscillation.forget();
     }
 
     /// Distance, rad, by which the set-points or the motor must have moved since the measured position last changed, if

@@ -5,7 +5,7 @@ use std::time::Duration;
 use drive::{EmergencyStop, Fault};
 use thiserror::Error;
 
-use crate::{HomingFailure, Latest, LawFault, LawParameters, Snapshot, StopCategory};
+use crate::{HomingFailure, Latest, LawFault, LawParameters, Oscillation, Snapshot, StopCategory};
 
 /// Greatest number of axes of one effector.
 pub const MAX_AXES: usize = 8;
@@ -167,6 +167,10 @@ pub enum StopCause {
     /// The motor is faster than its position loop, closed by the servo, could make it: beyond `runaway_velocity`.
     #[error("motor runs away at {velocity:.1} rad/s, beyond {limit:.1} rad/s")]
     Runaway { velocity: f64, limit: f64 },
+    /// The motor oscillates about its set-points, and the amplitude grows beyond half of the permitted following error. The
+    /// loop, closed by the servo, is unstable and cannot brake.
+    #[error("unstable loop swings up: {:.1} Hz, {:.4} rad", .0.frequency, .0.amplitude)]
+    Oscillates(Oscillation),
     /// The motor is too fast in a stop: from this velocity, the greatest acceleration of the motor cannot brake it within
     /// the [envelope](crate::ServoState) of the stop. In a stop of homing, the motor still has more than half of its speed
     /// after the longest stop.
@@ -274,7 +278,7 @@ impl StopCause {
         match self {
             Self::Drive(Fault::AxisController { fault, .. }) if fault.opens_cabinet() => StopCategory::Zero,
             Self::Partner { .. } | Self::Touched | Self::BrakeSlips { .. } => StopCategory::Two,
-            Self::Runaway { .. } => StopCategory::Zero,
+            Self::Runaway { .. } | Self::Oscillates(_) => StopCategory::Zero,
             Self::Drive(_)
             | Self::FollowingError { .. }
             | Self::NotBraking { .. }

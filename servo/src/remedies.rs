@@ -13,6 +13,7 @@ impl StopCause {
             Self::FollowingError { .. } => "look for a collision, a blocked brake, a high load or missing answers",
             Self::Frozen { .. } => "check encoder, its cable and brake, then home",
             Self::Runaway { .. } => "check encoder, sign of the axis and motor phases",
+            Self::Oscillates(_) => "check gains and load of the axis",
             Self::NotBraking { .. } => "check load and supply of the motor, and its current limit",
             Self::LimitSwitch { .. } => "move the axis off the switch by hand, check its limits",
             Self::PositionLimit { .. } | Self::NoRoomToStop { .. } => "correct the motion",

@@ -14,8 +14,8 @@ use crate::motion_time::{Bounds, MotionTime, SpeedOverride};
 use crate::overload::OverloadWatch;
 use crate::state::CellEvent;
 use crate::{
-    CellState, Counters, CycleLaw, EffectorLink, Excitation, ExcitationError, LawBound, LawError, Record, ServoConfig,
-    ServoError, ServoFault, ServoState, StopCause, TeamState, TrackingError,
+    CellState, Counters, CycleLaw, EffectorLink, Excitation, ExcitationError, LawBound, LawError, Oscillation, Record,
+    ServoConfig, ServoError, ServoFault, ServoState, StopCause, TeamState, TrackingError,
 };
 use crate::{excitation::Playing, recorder::Recorder, team};
 
@@ -476,6 +476,14 @@ impl Servo {
     /// this run.
     pub fn homing_offsets(&self, index: usize) -> impl Iterator<Item = Option<i64>> {
         self.axes(index).map(ServoAxis::homing_offset)
+    }
+
+    /// The greatest oscillation of each axis of effector `index` about its set-points, and the time from the first cycle to
+    /// the first oscillation.
+    pub fn oscillations(&self, index: usize) -> impl Iterator<Item = Option<(Oscillation, Duration)>> {
+        let period = self.period.as_secs_f64();
+        self.axes(index)
+            .map(move |axis| axis.oscillates.map(|(it, cycle)| (it, Duration::from_secs_f64(cycle as f64 * period))))
     }
 
     fn axes(&self, index: usize) -> impl Iterator<Item = &ServoAxis> {

@@ -352,18 +352,37 @@ fn current_cpu() -> usize {
     unsafe { libc::sched_getcpu() }.max(0) as usize
 }
 
-/// Checks that nine of ten delayed cycles have the right cause, at the second attempt at the latest.
+/// Greatest number of attempts of one case.
+const ATTEMPTS: usize = 8;
+
+/// Time that the hypervisor has taken from all processors, in ticks.
+fn stolen() -> u64 {
+    let stat = std::fs::read_to_string("/proc/stat").expect("Linux");
+    let fields = stat.lines().next().expect("the line of all processors").split_whitespace();
+    fields.skip(1).nth(7).and_then(|ticks| ticks.parse().ok()).expect("a count of ticks")
+}
+
+/// Checks that nine of ten delayed cycles have the right cause, at the second attempt at the latest. An attempt from which
+/// the hypervisor took time does not count, unless it is the last one of [`ATTEMPTS`].
 fn check(cases: &[(Plant, Cause)]) {
     let _alone = alone();
     for &(planted, cause) in cases {
-        let first = plant(planted, cause);
-        let enough = |(right, of): (u64, u64)| 10 * right >= 9 * of;
-        if enough(first) {
-            continue;
+        let (mut seen, mut wrong) = (Vec::new(), 0);
+        loop {
+            let before = stolen();
+            let (right, of) = plant(planted, cause);
+            if 10 * right >= 9 * of {
+                break;
+            }
+            let taken = stolen() - before;
+            seen.push((right, of, taken));
+            wrong += usize::from(taken == 0);
+            assert!(
+                wrong < 2 && seen.len() < ATTEMPTS,
+                "{planted:?}: named {cause:?} in (number, of planted cycles, stolen ticks) {seen:?}"
+            );
+            sleep_until(now() + Duration::from_secs(1));
         }
-        sleep_until(now() + Duration::from_secs(1));
-        let second = plant(planted, cause);
-        assert!(enough(second), "{planted:?}: named {cause:?} in {first:?}, then {second:?} planted cycles");
     }
 }
 

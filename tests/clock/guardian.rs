@@ -19,11 +19,11 @@ use ::mrroc::cell::{Cell, CellFile};
 use ::mrroc::guardian::NAME;
 use can::{Instant, clock};
 use hil::{AxisController, Cabinet, LineId, Pty, World};
-use kit::mrroc::{Directory, SERIAL_CELLS};
+use kit::mrroc::{Directory, Running, SERIAL_CELLS};
 use kit::{by_the_clock, processors};
 
 use crate::hang::Hang;
-use crate::serial_cli::{patient, run_on};
+use crate::serial_cli::{emulate, patient, run_arguments};
 
 /// Permitted silence, ms, on a host with other load.
 const SILENCE_MS: u32 = 20;
@@ -47,10 +47,13 @@ pub(crate) enum Failure {
     Hang,
     /// The guardian is killed.
     Unguarded,
+    /// SIGKILL to the run and all its descendants, with a guardian that another process started.
+    KillAll,
 }
 
-const FAILURES: [Failure; 6] = [
+const FAILURES: [Failure; 7] = [
     Failure::Kill,
+    Failure::KillAll,
     Failure::Pause(Duration::from_millis(30)),
     Failure::Pause(Duration::from_millis(400)),
     Failure::Pause(Duration::from_secs(5)),
@@ -226,6 +229,12 @@ pub(crate) fn child_of(parent: u32, name: &str) -> Option<u32> {
     })
 }
 
+/// Whether child `pid` has ended. Its parent has not waited for it yet.
+fn is_over(pid: u32) -> bool {
+    let stat = fs::read_to_string(format!("/proc/{pid}/stat")).expect("a child");
+    stat.rsplit_once(") ").is_some_and(|(_, tail)| tail.starts_with('Z'))
+}
+
 fn signal(pid: u32, name: &str) {
     let sent = Command::new("kill").args([&format!("-{name}"), &pid.to_string()]).status();
     assert!(sent.expect("kill").success(), "{name} to {pid}");
@@ -246,46 +255,56 @@ impl Rig<'_> {
         let _ = fs::remove_file(&record);
         self.emulator.samples.lock().expect("no panic").clear();
         let began = clock::now();
-        let run = run_on(self.cell, self.ttys, &record);
+        let socket = self.directory.path("guardian");
+        let separate = (failure == Failure::KillAll).then(|| {
+            let guard = Running::start(["guard".as_ref(), socket.as_os_str()]);
+            (guard, ["--guardian".as_ref(), socket.as_os_str()])
+        });
+        let options = separate.iter().flat_map(|(_, options)| options);
+        let run = Running::start(run_arguments(self.cell, self.ttys, &record).iter().chain(options));
         let moving = ",wrist-roll,Moving,";
         let broken = |text: &str| text.contains(",Stopping,") || text.contains(",Faulted,");
         let began_to_move = run.ended_before(&record, |text| text.matches(moving).count() > rows || broken(text));
         assert_eq!(began_to_move, Ok(()), "the run ended before the failure");
         let record = fs::read_to_string(&record).expect("the record");
         assert!(!broken(&record), "the run stopped before the failure: {:?}", run.output());
-        let guardian = child_of(run.id(), NAME).expect("a guardian");
+        let guardian = child_of(run.id(), NAME);
+        assert_eq!(guardian.is_some(), separate.is_none(), "{failure:?}");
         let event = clock::now();
         let mut hang = None;
         match failure {
-            Failure::Kill => run.signal("KILL"),
+            Failure::Kill | Failure::KillAll => run.signal("KILL"),
             Failure::Pause(time) => {
                 run.signal("STOP");
                 clock::sleep_until(clock::now() + time);
                 run.signal("CONT");
             }
             Failure::Hang => hang = Some(Hang::of(run.id())),
-            Failure::Unguarded => signal(guardian, "KILL"),
+            Failure::Unguarded => signal(guardian.expect("a child"), "KILL"),
         }
         let stands = self.emulator.at_rest(began);
         let ended = run.output();
         drop(hang);
         let after = self.emulator.at_rest(began);
+        let teller = separate.map_or_else(|| ended.stderr.clone(), |(guard, _)| guard.output().stderr);
         let told = match failure {
-            Failure::Kill => Some("the controller has ended without switching its drives off: the guardian put all"),
+            Failure::Kill | Failure::KillAll => {
+                Some("the controller has ended without switching its drives off: the guardian put all")
+            }
             Failure::Pause(_) | Failure::Hang => Some("mrroc: no servo cycle: the guardian put all"),
             Failure::Unguarded => None,
         };
-        assert!(told.is_none_or(|told| ended.stderr.contains(told)), "{failure:?}: {ended:?}");
+        assert!(told.is_none_or(|told| teller.contains(told)), "{failure:?}: {teller}, {ended:?}");
         let (rested, last) = (stands.last().expect("samples"), after.last().expect("samples"));
         if failure == Failure::Unguarded {
             assert!(ended.json()["faults"][0]["what"].as_str().unwrap().contains("guardian"), "{ended:?}");
-        } else if failure != Failure::Kill {
+        } else if !matches!(failure, Failure::Kill | Failure::KillAll) {
             let first = ended.json()["faults"][0].to_string();
             assert!(first.contains("no servo cycle for"), "{first}");
             assert!(!moved(rested, last), "the robot moved again");
         }
         let event = match failure {
-            Failure::Kill | Failure::Unguarded => event,
+            Failure::Kill | Failure::KillAll | Failure::Unguarded => event,
             Failure::Pause(_) | Failure::Hang => last_telegram(&after),
         };
         figures(self.file, &after, event)
@@ -311,8 +330,8 @@ fn guarded(name: &str, silence: Option<u32>, tries: usize) {
     let cell = directory.cell(name, |cell: &mut Cell| {
         patient(cell);
         cell.guardian_ms = silence;
-        // Without disturbances, the permitted silence is that of the example.
-        cell.max_missed_in_row = 3;
+        // As many as the permitted silence admits. Without disturbances, that is the silence of the example.
+        cell.max_missed_in_row = silence.map_or(3, |silence| silence * 1000 / cell.period_us - 2);
         for axis in &mut cell.robot[0].axis {
             axis.following_error = 100.0;
         }
@@ -349,6 +368,33 @@ pub(crate) const RUN_OUT: Duration = Duration::from_millis(500);
 #[test]
 fn drives_of_a_run_that_fails_in_motion_are_stopped() {
     guarded("irb6-serial", Some(SILENCE_MS), 1);
+}
+
+/// A service that is bound to the guardian is stopped when the guardian ends, so the guardian ends after its controller.
+#[test]
+fn a_separate_guardian_serves_one_run_and_ends_after_it() {
+    by_the_clock(PROCESSORS, UNBEARABLE, || {
+        let directory = Directory::new();
+        let cell = directory.cell("irb6-serial", patient);
+        let ttys = directory.path("ttys");
+        let _emulator = emulate(&cell, &ttys);
+        let (socket, record) = (directory.path("guardian"), directory.path("record.csv"));
+        let guard = Running::start(["guard".as_ref(), socket.as_os_str()]);
+        let options = ["--guardian".as_ref(), socket.as_os_str()];
+        let run = Running::start(run_arguments(&cell, &ttys, &record).into_iter().chain(options));
+        let moves = |text: &str| text.contains(",wrist-roll,Moving,");
+        assert_eq!(run.ended_before(&record, moves), Ok(()), "{:?}", run.output());
+        let second = Running::start(["guard".as_ref(), socket.as_os_str()]);
+        run.signal("INT");
+        while !is_over(run.id()) {
+            assert!(!is_over(guard.id()), "the guardian ended before its controller");
+        }
+        let (ended, guarded) = (run.output(), guard.output());
+        assert_eq!((ended.status.code(), guarded.status.code()), (Some(1), Some(0)), "{ended:?} {guarded:?}");
+        assert_eq!(guarded.stderr, "", "no telegram, no message");
+        second.signal("TERM");
+        assert_ne!(second.output().status.code(), Some(0), "it waited for a run");
+    });
 }
 
 #[test]

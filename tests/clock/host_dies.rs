@@ -136,7 +136,7 @@ impl Rig<'_> {
                 run.signal("CONT");
             }
             Failure::Hang => hang = Some(Hang::of(run.id())),
-            Failure::Unguarded => unreachable!("a cell without serial lines has no guardian"),
+            Failure::Unguarded | Failure::KillAll => unreachable!("a cell without serial lines has no guardian"),
         }
         let stands = self.emulator.at_rest(began);
         let ended = run.output();

@@ -35,6 +35,10 @@ def parts(only, seed):
         return Part(name, "test", executables, needs=["build"], processors=2)
 
     build = ["cargo", "test", "--workspace", "--release", "--locked", "--no-run"]
+    # Each combination gives other features to packages of the registry, which are then checked again.
+    clippy = ["cargo", "clippy", "--locked", "--quiet", "-p", "mrroc", "--no-default-features", "--features"]
+    each = ["", "command-line", "pages", "recording"]
+    features = [Command(*clippy, feature, "--", "-D", "warnings") for feature in each]
     tries = Executables(messages, chosen="mrroc-tests/clock".__eq__, only="_20", threads=1, limit=14_400, ignored=True)
     return [
         Part("build", "build", Command(*build, "--message-format", "json-render-diagnostics", reader=messages),
@@ -45,6 +49,7 @@ def parts(only, seed):
         tests("seeds", "mrroc-tests/system", only or "random::", MRROC_RANDOM_SEED=str(seed), MRROC_RANDOM_TIMES="48"),
         tests("scenes", "mrroc-hil", only or "random_scenes", MRROC_RANDOM_SEED=str(seed), MRROC_RANDOM_TIMES="100"),
         Part("tries", "test", tries, needs=["build"], processors=2),
+        Part("features", "test", *features, lock="target", processors=2),
         Part("fuzz", "test", Command("tests/fuzz", FUZZ_SECONDS, limit=14_400), processors=2),
         Part("mutants", "test", Command("tests/mutants", limit=14_400), processors=2),
     ]

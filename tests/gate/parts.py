@@ -34,7 +34,7 @@ def gate_part():
 
 
 def format_part():
-    outside = ["tests/peers/rust/Cargo.toml", "tests/outside/Cargo.toml"]
+    outside = ["tests/peers/rust/Cargo.toml", "tests/outside/Cargo.toml", "tests/sanitized/Cargo.toml"]
     return Part(
         "format", "build", Command("cargo", "fmt", "--all", "--check"),
         *[Command("cargo", "fmt", "--manifest-path", manifest, "--check") for manifest in outside],
@@ -93,11 +93,7 @@ def run(only):
     units = ["cargo", "test", "--release", *WHOLE, *unit_targets()]
     with_hooks = ["cargo", "test", "--release", *WHOLE, *HOOKS, *UNOPTIMISED, "--test", "hooks"]
     documented = ["cargo", "test", "--release", *WHOLE, "--quiet", "--doc"]
-    clippy = ["cargo", "clippy", LOCKED, "--quiet"]
-    warnings = ["--", "-D", "warnings"]
-    lints = [[*clippy, "--workspace", *HOOKS, "--all-targets", *warnings]]
-    lints += [[*clippy, "-p", "mrroc", "--no-default-features", "--features", feature, *warnings]
-              for feature in ["", "command-line", "pages", "recording"]]
+    lints = ["cargo", "clippy", LOCKED, "--quiet", "--workspace", *HOOKS, "--all-targets", "--", "-D", "warnings"]
     documentation = ["cargo", "doc", *WHOLE, *HOOKS, "--no-deps", "--quiet"]
     # Most of these tests wait for a clock. Their programs precede all others, which only root may arrange.
     clock = Executables(messages, only=only, chosen="mrroc-tests/clock".__eq__, threads=8 * os.cpu_count(),
@@ -113,17 +109,18 @@ def run(only):
         release_part(messages),
         Part("peers", "build", Command("tests/install", "peers"), needs=["packages"], processors=ALL, left_out=peers),
         Part("clock", "test", clock, needs=["release", "packages", "kernel", "python", "peers"], processors=0.6),
-        Part("readme", "test", Command(sys.executable, "tests/readme"), needs=["release", "clock"], processors=0.6),
+        Part("readme", "test", Command(sys.executable, "tests/readme"), needs=["release"], after=["clock"],
+             processors=0.6),
         system_part(messages, only),
         *unit_parts(only, units, with_hooks),
         Part("outside", "test", Command("tests/outside/run"), needs=["release"], processors=ALL, lock="target"),
         Part("faults", "test", Command("tests/fault-table"), needs=["release"]),
         Part("documented", "test", Command(*documented), needs=["release"], processors=ALL, lock="target"),
-        Part("lints", "build", *[Command(*words) for words in lints], processors=ALL, lock="target"),
+        Part("lints", "build", Command(*lints), processors=ALL, lock="target"),
         Part("documentation", "build", Command(*documentation, env={"RUSTDOCFLAGS": "-D warnings"}), processors=ALL,
              lock="target"),
         Part("sanitizer-build", "build", Command("tests/realtime-sanitizer", "build"), processors=ALL),
-        Part("sanitizer", "test", Command("tests/realtime-sanitizer"), needs=["sanitizer-build", "clock"],
+        Part("sanitizer", "test", Command("tests/realtime-sanitizer"), needs=["sanitizer-build"], after=["clock"],
              processors=0.6),
         Part("package", "test", Command("packaging/build", "release"), Command(*root("packaging/test")),
              needs=["debian", "release"], lock="target", left_out=package),

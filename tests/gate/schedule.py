@@ -13,13 +13,13 @@ PROGRESS = 60  # s between two lines about the parts that run
 class Part:
     """A part of a ring: commands that run one after the other.
 
-    `kind` is build, test or download. `needs` names the parts that must have passed before. `processors` is how many
-    processors the part keeps busy; None means all. Parts with the same `lock` never run together. `left_out` is the
-    reason why the part is left out.
+    `kind` is build, test or download. `needs` names the parts that must have passed before, `after` those that must have
+    ended, if they run. `processors` is how many processors the part keeps busy; None means all. Parts with the same
+    `lock` never run together. `left_out` is the reason why the part is left out.
     """
 
-    def __init__(self, name, kind, *commands, needs=(), processors=1.0, lock=None, left_out=None):
-        self.name, self.kind, self.commands, self.needs = name, kind, commands, needs
+    def __init__(self, name, kind, *commands, needs=(), after=(), processors=1.0, lock=None, left_out=None):
+        self.name, self.kind, self.commands, self.needs, self.after = name, kind, commands, needs, after
         self.processors = os.cpu_count() if processors is None else processors
         self.lock, self.left_out = lock, left_out
         self.outcome, self.wall, self.seconds, self.said, self.notes = None, 0.0, 0.0, "", []
@@ -125,6 +125,7 @@ class Schedule:
         # What needs a part that is left out says itself that it is left out.
         if any(outcome is not None and not outcome.startswith(("passed", "left out")) for outcome in outcomes):
             return "lost"
+        outcomes += [by_name[name].outcome for name in part.after if name in by_name]
         if any(outcome is None for outcome in outcomes) or (part.lock is not None and part.lock in self.locked):
             return "waits"
         # A part that waits for clocks runs beside a build that uses all processors.

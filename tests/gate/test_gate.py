@@ -49,6 +49,11 @@ class Parts(unittest.TestCase):
         self.assertEqual(outcomes(failing, Part("second", "test", Command("true"), needs=["first"])),
                          ["FAILED", "not run: a part that it needs did not pass"])
 
+    def test_what_follows_a_failed_part_runs_after_it(self):
+        failing = Part("first", "test", Command("sh", "-c", "sleep 0.3; false"), processors=0.1)
+        follower = Part("second", "test", Command("true"), processors=0.1, after=["first", "absent"])
+        self.assertEqual(outcomes(failing, follower), ["FAILED", "passed"])
+
     def test_a_part_that_is_left_out_says_why(self):
         said = Part("said", "test", Command("echo", "left out: sanitizer: no nightly"))
         asked = Part("asked", "test", Command("true"), left_out="MRROC_LEAVE_OUT has qemu")

@@ -31,6 +31,10 @@ pub(crate) const NEGATIVE: &str = "negative run";
 /// Servo period of the example cells.
 pub const PERIOD: Duration = Duration::from_millis(2);
 
+/// Time without a disturbance before a repetition, and the longest wait for it.
+const CALM: Duration = Duration::from_secs(1);
+const STORM: Duration = Duration::from_secs(10);
+
 /// Period of the observer. Every fifth period it reads the accounts of the kernel.
 const LOOK: Duration = Duration::from_millis(10);
 const LOOKS: u32 = 5;
@@ -93,7 +97,7 @@ impl fmt::Display for Evidence {
 }
 
 /// Runs `body`, a test by the clock, while it has a share of the processors. A disturbed run with a negative verdict is
-/// repeated with all processors.
+/// repeated with all processors, once the host is calm.
 ///
 /// `processors` is the mean use of processors, such as 0.3; `unbearable` is the shortest delay of a thread that can
 /// change the verdict, in general the servo period.
@@ -103,11 +107,25 @@ pub fn by_the_clock<T>(processors: f64, unbearable: Duration, mut body: impl FnM
         if number > 1 {
             drop(share.take());
             share = Some(processors::take(ALL));
+            wait_for_calm(unbearable);
         }
         let observer = Observer::start();
         let verdict = catch_unwind(AssertUnwindSafe(&mut body));
         (verdict, observer.end())
     })
+}
+
+/// Waits until the host lets this process run for [`CALM`] without a disturbance, [`STORM`] at most. Other work of the host,
+/// such as a build, comes in spells.
+fn wait_for_calm(unbearable: Duration) {
+    let end = clock::now() + STORM;
+    while clock::now() < end {
+        let observer = Observer::start();
+        clock::sleep_until(clock::now() + CALM);
+        if !observer.end().disturbs(unbearable) {
+            return;
+        }
+    }
 }
 
 /// Repeats a run, which receives its number from 1, while its verdict is negative and the host disturbed it, up to

@@ -121,6 +121,11 @@ fn the_task_home_homes_all_robots_and_moves_none() {
 }
 
 #[test]
+fn a_limit_of_file_size_does_not_stop_the_arm() {
+    full_disk::limit_of_file_size_does_not_stop_the_arm();
+}
+
+#[test]
 fn a_file_on_a_full_disk_does_not_stop_the_arm() {
     full_disk::does_not_stop_the_arm("lockstep");
     // A file that cannot be begun is refused before any motion.

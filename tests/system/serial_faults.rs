@@ -3,6 +3,7 @@
 
 use std::time::Duration;
 
+use ::mrroc::cell::Protocol;
 use drive::axis_controller::AxisControllerFault;
 use drive::{AxisCommand, Fault};
 use hil::{LineFaults, PlantConfig, Stuck, WireFaults};
@@ -141,7 +142,9 @@ fn a_line_that_is_whole_again_in_time_is_ridden_through() {
         }
         rig.set_line_faults(2, &LineFaults::default());
         rig.follow(&mut motion, |rig| rig.phase() == Phase::Standing);
-        assert_eq!(rig.missed_answers(), u64::from(tolerated), "{cell}");
+        // In the older protocol, a telegram is left out after the first missing answer.
+        let left_out = u32::from(rig.cell.serial[0].protocol == Protocol::HiMoxa);
+        assert_eq!(rig.missed_answers(), u64::from(tolerated - left_out), "{cell}");
     }
 }
 

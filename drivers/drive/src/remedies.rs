@@ -77,11 +77,14 @@ impl AxisControllerFault {
     pub fn remedy(&self) -> Option<&'static str> {
         Some(match self {
             Self::Silent { .. }
+            | Self::Delayed { .. }
+            | Self::Repeated { .. }
             | Self::Late { .. }
             | Self::Line(_)
             | Self::Jumped { .. }
             | Self::Restarted
             | Self::KeepsReference { .. }
+            | Self::NotIndexed { .. }
             | Self::PowerStage
             | Self::Cabinet { .. } => return None,
             Self::NotSent { .. } => "check the cable, and the host with `mrroc doctor`",

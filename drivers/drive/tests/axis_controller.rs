@@ -3,6 +3,7 @@
 mod belief;
 mod bring_up;
 mod commands;
+mod delays;
 mod emergency_stops;
 mod faults;
 

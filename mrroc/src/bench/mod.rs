@@ -80,6 +80,9 @@ pub struct Places {
     /// Set the cards to the cell's bit rates and bring them up. A card that is up at another rate is taken down first.
     #[cfg_attr(feature = "command-line", arg(long))]
     pub set_bitrate: bool,
+    /// The socket of a waiting `mrroc guard`, which becomes the guardian in place of a child of this process.
+    #[cfg_attr(feature = "command-line", arg(long, value_name = "SOCKET"))]
+    pub guardian: Option<PathBuf>,
 }
 
 impl Places {
@@ -172,6 +175,9 @@ impl Bench {
                 if !can.is_empty() || serial.is_some() {
                     bail!("--can and --serial need --bench vcan or --bench card");
                 }
+                if places.guardian.is_some() {
+                    bail!("--guardian needs --bench vcan or --bench card: emulated drives have no guardian");
+                }
                 emulation::problems(file).next().map_or(Ok(()), Err)?;
                 let (mut emulation, ends) = Emulation::of(file);
                 let lines = emulated_lines(file, kind, &mut emulation, ends.lines)?;
@@ -201,7 +207,7 @@ impl Bench {
                 let (lines, mut guarded) = ttys(file, serial)?;
                 guarded.extend(guarded_buses(file, &interfaces)?);
                 let sensors = sensor_ttys(file, serial)?;
-                (ports, lines, sensors, listeners, None, Guardian::of_cell(file, &guarded)?)
+                (ports, lines, sensors, listeners, None, Guardian::of_cell(file, &guarded, places.guardian.as_deref())?)
             }
         };
         let (ports, traces) = if trace {

@@ -24,18 +24,22 @@
 //! variable [`VARIABLE`] in the environment. Programs with a `main` of their own therefore need no code for the
 //! guardian.
 //!
+//! The process is a child of the controller, or a process that a service manager started (`separate`).
+//!
 //! Read `process` for the states of the guardian, and `shared` for the shared memory.
 
 #![expect(clippy::disallowed_methods, reason = "the rim: reads clocks and waits")]
 
 mod process;
+pub mod separate;
 mod shared;
 
 use std::fs::File;
 use std::io::{self, Write};
-use std::os::fd::{AsRawFd, OwnedFd};
+use std::os::fd::{AsRawFd, OwnedFd, RawFd};
 use std::os::unix::fs::OpenOptionsExt;
 use std::os::unix::process::CommandExt;
+use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU8, Ordering};
@@ -50,6 +54,7 @@ use thiserror::Error;
 
 use crate::cell::{Cell, CellFile};
 use crate::streams;
+use separate::{Connection, MOST_DESCRIPTORS};
 use shared::{Denied, LONGEST_TELEGRAM, LineOrders, MOST_LINES, Orders, Phase, Words};
 
 /// Environment variable of a guardian process. The value is the number of the descriptor of the shared memory.
@@ -111,6 +116,8 @@ pub enum GuardianError {
     Memory { errno: i32 },
     #[error("the process cannot be started from /proc/self/exe (errno {errno})")]
     Spawn { errno: i32 },
+    #[error("no `mrroc guard` waits at the socket of --guardian (errno {errno}): it serves one run, so start it again")]
+    Connection { errno: i32 },
     #[error("the process has ended at its start")]
     Ended,
     #[error("the process was not ready after {waited:?}")]
@@ -139,12 +146,36 @@ pub enum GuardianFault {
 #[derive(Debug)]
 pub struct Guardian {
     words: Arc<Words>,
-    child: Child,
+    process: Process,
     /// The guardian notices the end of this process by the end of the pipe.
     life: Option<io::PipeWriter>,
     config: GuardianConfig,
     verdict: Arc<AtomicU8>,
     all_off: bool,
+}
+
+/// The process of a guardian.
+#[derive(Debug)]
+enum Process {
+    Child(Child),
+    Separate(Connection),
+}
+
+impl Process {
+    fn id(&self) -> u32 {
+        match self {
+            Self::Child(child) => child.id(),
+            Self::Separate(connection) => connection.pid,
+        }
+    }
+
+    /// Whether the guardian will write no more telegrams.
+    fn is_over(&mut self) -> bool {
+        match self {
+            Self::Child(child) => !matches!(child.try_wait(), Ok(None)),
+            Self::Separate(connection) => connection.is_closed(),
+        }
+    }
 }
 
 /// Verdict of the servo thread on the guardian.
@@ -153,9 +184,10 @@ const STOPPED: u8 = 1;
 const LOST_HEARTBEAT: u8 = 2;
 
 impl Guardian {
-    /// Starts the guardian of a cell's serial lines, guarded buses and watchdog; `None` for a cell without these. Reports
+    /// Starts the guardian of a cell's serial lines, guarded buses and watchdog; `None` for a cell without these. The process
+    /// that waits at the socket `separate` becomes the guardian, or without a socket a child of this process. Reports
     /// requests that the host denies in one warning. With [`Policy::Require`] a denied request refuses the start.
-    pub fn of_cell(file: &CellFile, lines: &[GuardedLine]) -> anyhow::Result<Option<Self>> {
+    pub fn of_cell(file: &CellFile, lines: &[GuardedLine], separate: Option<&Path>) -> anyhow::Result<Option<Self>> {
         let watchdog = file.cell.watchdog.as_ref().map(|path| {
             let opened = File::options().write(true).custom_flags(libc::O_NONBLOCK).open(path);
             opened.with_context(|| format!("watchdog {path}"))
@@ -164,7 +196,7 @@ impl Guardian {
         if lines.is_empty() && watchdog.is_none() {
             return Ok(None);
         }
-        let guardian = Self::start(file.cell.guardian_config(), lines, watchdog.as_ref()).inspect_err(|_| {
+        let guardian = Self::start(file.cell.guardian_config(), lines, watchdog.as_ref(), separate).inspect_err(|_| {
             // Opening a watchdog has started it. Without a guardian, nothing else would switch it off.
             if let Some(watchdog) = watchdog.as_ref().and_then(|watchdog| watchdog.try_clone().ok()) {
                 let _ = File::from(watchdog).write_all(b"V");
@@ -188,6 +220,7 @@ impl Guardian {
         config: GuardianConfig,
         lines: &[GuardedLine],
         watchdog: Option<&OwnedFd>,
+        separate: Option<&Path>,
     ) -> Result<Self, GuardianError> {
         let memory = |error: io::Error| GuardianError::Memory { errno: error.raw_os_error().unwrap_or(0) };
         let spawn = |error: io::Error| GuardianError::Spawn { errno: error.raw_os_error().unwrap_or(0) };
@@ -198,23 +231,37 @@ impl Guardian {
         let orders = line_orders.and_then(|lines| Orders::new(&config, ended.as_raw_fd(), &lines, watchdog_descriptor));
         let orders = orders.ok_or(GuardianError::Lines { lines: lines.len() })?;
         let (file, words) = shared::create(&orders).map_err(memory)?;
-        let inherited = lines.iter().map(|line| line.line.as_raw_fd()).chain([ended.as_raw_fd(), file.as_raw_fd()]);
-        let inherited = inherited.chain(watchdog_descriptor).collect();
-        let mut command = Command::new("/proc/self/exe");
-        command.arg0(NAME).env(VARIABLE, file.as_raw_fd().to_string()).current_dir("/");
-        command.stdin(Stdio::null()).stdout(Stdio::null());
-        process::inherit(&mut command, inherited);
-        let child = command.spawn().map_err(spawn)?;
+        let given =
+            [file.as_raw_fd(), ended.as_raw_fd()].into_iter().chain(lines.iter().map(|line| line.line.as_raw_fd()));
+        let given: Vec<RawFd> = given.chain(watchdog_descriptor).collect();
+        let process = match separate {
+            None => Process::Child(Self::child(file.as_raw_fd(), given).map_err(spawn)?),
+            Some(_) if given.len() > MOST_DESCRIPTORS => return Err(GuardianError::Lines { lines: lines.len() }),
+            Some(socket) => {
+                let connection =
+                    |error: io::Error| GuardianError::Connection { errno: error.raw_os_error().unwrap_or(0) };
+                Process::Separate(Connection::open(socket, &given).map_err(connection)?)
+            }
+        };
         let verdict = Arc::new(AtomicU8::new(FINE));
-        let mut guardian = Self { words: Arc::new(words), child, life: Some(life), config, verdict, all_off: false };
+        let mut guardian = Self { words: Arc::new(words), process, life: Some(life), config, verdict, all_off: false };
         guardian.wait_until_ready()?;
         Ok(guardian)
+    }
+
+    /// Starts a guardian from the program of this process. `inherited` are its descriptors.
+    fn child(memory: RawFd, inherited: Vec<RawFd>) -> io::Result<Child> {
+        let mut command = Command::new("/proc/self/exe");
+        command.arg0(NAME).env(VARIABLE, memory.to_string()).current_dir("/");
+        command.stdin(Stdio::null()).stdout(Stdio::null());
+        process::inherit(&mut command, inherited);
+        command.spawn()
     }
 
     fn wait_until_ready(&mut self) -> Result<(), GuardianError> {
         let end = clock::now() + READY;
         while self.words.looks.load(Ordering::Acquire) == 0 {
-            if !matches!(self.child.try_wait(), Ok(None)) {
+            if self.process.is_over() {
                 return Err(GuardianError::Ended);
             }
             if clock::now() >= end {
@@ -232,7 +279,7 @@ impl Guardian {
 
     /// Process ID of the guardian.
     pub fn pid(&self) -> u32 {
-        self.child.id()
+        self.process.id()
     }
 
     /// The servo thread's end of the guardian. `stop` brakes all robots and switches them off.
@@ -256,7 +303,7 @@ impl Guardian {
         if self.verdict.load(Ordering::Relaxed) == FINE {
             let found = if self.has_stopped_a_run() {
                 STOPPED
-            } else if !matches!(self.child.try_wait(), Ok(None)) {
+            } else if self.process.is_over() {
                 LOST_HEARTBEAT
             } else {
                 return None;
@@ -298,14 +345,22 @@ impl Drop for Guardian {
         let unused = self.words.cycles.load(Ordering::Relaxed) == 0;
         let phase = if self.all_off || unused { Phase::End } else { Phase::Stop };
         self.words.phase.store(phase as u32, Ordering::Release);
-        // The end of the pipe ends the wait of the guardian.
-        self.life = None;
+        let life = self.life.take();
+        match self.process {
+            // The end of the pipe ends the wait of the guardian.
+            Process::Child(_) => drop(life),
+            // The pipe ends with this process, and the service of the guardian after it.
+            Process::Separate(_) => std::mem::forget(life),
+        }
         let end = clock::now() + END;
-        while matches!(self.child.try_wait(), Ok(None)) {
+        while !self.process.is_over() {
             if clock::now() >= end {
-                // A suspended guardian cannot end by itself. A failure means that it has ended.
-                let _ = self.child.kill();
-                let _ = self.child.wait();
+                // A suspended guardian cannot end by itself. A failure means that it has ended. A process that is not ours is
+                // left to whom it belongs.
+                if let Process::Child(child) = &mut self.process {
+                    let _ = child.kill();
+                    let _ = child.wait();
+                }
                 return;
             }
             clock::sleep_until(clock::now() + LOOK);

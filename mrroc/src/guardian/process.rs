@@ -192,6 +192,7 @@ fn guard(memory: RawFd) -> i32 {
                 if alone && matches!(phase, Phase::Run | Phase::Leave) {
                     tell(CONTROLLER_ENDED);
                 }
+                leave(&orders);
                 return 0;
             }
             _ if state.stops() => orders.lines().iter().for_each(|line| write(line, begins)),
@@ -201,6 +202,17 @@ fn guard(memory: RawFd) -> i32 {
             tell(NO_CYCLE);
         }
     }
+}
+
+/// Tells a controller that did not start this process that no telegram follows, and waits for the end of the controller.
+/// A service that is bound to the guardian therefore ends first.
+fn leave(orders: &Orders) {
+    if orders.connection < 0 {
+        return;
+    }
+    // SAFETY: the descriptor is of this process, and is not used again.
+    unsafe { libc::close(orders.connection) };
+    while !wait(orders.life, Duration::from_secs(1), false) {}
 }
 
 /// A hardware watchdog: a file that must be written again and again.

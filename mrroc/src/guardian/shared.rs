@@ -9,6 +9,7 @@
 use std::fmt;
 use std::fs::File;
 use std::io;
+use std::mem::ManuallyDrop;
 use std::ops::Deref;
 use std::os::fd::{AsRawFd, FromRawFd, RawFd};
 use std::os::unix::fs::FileExt;
@@ -28,10 +29,10 @@ pub(super) const MOST_LINES: usize = 256;
 const ORDERS_AT: u64 = 65_536;
 
 /// First word of the orders: changes with their layout.
-const MAGIC: u64 = 0x4d52_5247_5541_0002;
+const MAGIC: u64 = 0x4d52_5247_5541_0003;
 
 /// Words in front of the lines.
-const HEAD: usize = 7;
+const HEAD: usize = 8;
 
 /// Words of a line: descriptor, length, telegram.
 const LINE: usize = 2 + LONGEST_TELEGRAM / 8;
@@ -170,6 +171,8 @@ pub(super) struct Orders {
     pub(super) life: RawFd,
     /// The hardware watchdog; -1 without one.
     pub(super) watchdog: RawFd,
+    /// The connection to a controller that did not start this process; -1 without one.
+    pub(super) connection: RawFd,
     count: usize,
     lines: [LineOrders; MOST_LINES],
 }
@@ -186,7 +189,8 @@ impl Orders {
         lines.get_mut(..given.len()).filter(|it| !it.is_empty() || watchdog.is_some())?.copy_from_slice(given);
         let watchdog = watchdog.unwrap_or(-1);
         let GuardianConfig { silence, period, priority } = *config;
-        Some(Self { silence, look: period / 2, priority, life, watchdog, count: given.len(), lines })
+        let (look, count) = (period / 2, given.len());
+        Some(Self { silence, look, priority, life, watchdog, connection: -1, count, lines })
     }
 
     pub(super) fn lines(&self) -> &[LineOrders] {
@@ -195,9 +199,10 @@ impl Orders {
 
     fn encode(&self) -> Vec<u8> {
         let nanos = |time: Duration| u64::try_from(time.as_nanos()).unwrap_or(u64::MAX);
-        let (life, watchdog) = (self.life as u64, self.watchdog as u64);
+        let [life, watchdog, connection] = [self.life, self.watchdog, self.connection].map(|it| it as u64);
         let times = [nanos(self.silence), nanos(self.look)];
-        let head: [u64; HEAD] = [MAGIC, times[0], times[1], self.priority.into(), life, self.count as u64, watchdog];
+        let (priority, count) = (self.priority.into(), self.count as u64);
+        let head: [u64; HEAD] = [MAGIC, times[0], times[1], priority, life, count, watchdog, connection];
         let mut bytes: Vec<u8> = head.iter().flat_map(|word| word.to_le_bytes()).collect();
         for line in &self.lines {
             bytes.extend((line.descriptor as u64).to_le_bytes());
@@ -230,8 +235,25 @@ impl Orders {
             life: word(4) as RawFd,
             count: usize::try_from(word(5)).ok().filter(|count| *count <= MOST_LINES)?,
             watchdog: word(6) as RawFd,
+            connection: word(7) as RawFd,
             lines,
         })
+    }
+
+    /// Gives the orders of the memory file `memory` this `connection`, and the numbers that its descriptors have `here`.
+    pub(super) fn renumber(memory: RawFd, connection: RawFd, here: impl Fn(RawFd) -> Option<RawFd>) -> io::Result<()> {
+        let unknown = || io::Error::from(io::ErrorKind::InvalidData);
+        let mut orders = Self::read(memory).ok_or_else(unknown)?;
+        let count = orders.count;
+        let lines = orders.lines[..count].iter_mut().map(|line| &mut line.descriptor);
+        let watchdog = (orders.watchdog >= 0).then_some(&mut orders.watchdog);
+        for descriptor in lines.chain(watchdog).chain([&mut orders.life]) {
+            *descriptor = here(*descriptor).ok_or_else(unknown)?;
+        }
+        orders.connection = connection;
+        // SAFETY: the descriptor stays open, and the file that would close it is never dropped.
+        let file = ManuallyDrop::new(unsafe { File::from_raw_fd(memory) });
+        file.write_all_at(&orders.encode(), ORDERS_AT)
     }
 
     /// Reads the orders of the memory file with descriptor `memory`, without an allocation.
@@ -288,11 +310,17 @@ mod tests {
         assert_eq!(read.lines(), lines);
         assert_eq!((read.look, read.life, read.watchdog), (Duration::from_millis(1), 5, 3));
         assert_eq!(Orders::read(-1), None);
-        for (at, byte) in [(0, 0), (8 * 5 + 1, 2), (8 * 8, 65)] {
+        for (at, byte) in [(0, 0), (8 * 5 + 1, 2), (8 * 9, 65)] {
             let mut bytes: [u8; ORDERS] = orders.encode().try_into().unwrap();
             bytes[at] = byte;
             assert_eq!(Orders::decode(&bytes), None, "byte {at}");
         }
+        let here = |number| (number != 8).then_some(number + 20);
+        Orders::renumber(file.as_raw_fd(), 30, here).unwrap();
+        let moved = Orders::read(file.as_raw_fd()).unwrap();
+        let numbers: Vec<_> = moved.lines().iter().map(|line| line.descriptor).collect();
+        assert_eq!((numbers, moved.life, moved.watchdog, moved.connection), (vec![27, 29], 25, 23, 30));
+        assert!(Orders::renumber(file.as_raw_fd(), 30, |_| None).is_err(), "a descriptor that was not sent");
         assert_eq!(Orders::new(&CONFIG, 5, &[], None), None);
         assert!(Orders::new(&CONFIG, 5, &[], Some(3)).is_some());
         assert_eq!(Orders::new(&CONFIG, 5, &[lines[0]; MOST_LINES + 1], None), None);

@@ -34,7 +34,7 @@ impl Rig {
         let line = Tty::open(drive.path(), Settings::AXIS_CONTROLLER).expect("its tty");
         let held = line.as_fd().try_clone_to_owned().expect("a descriptor");
         let guarded = GuardedLine { line: held, telegram: TELEGRAM.to_vec() };
-        let guardian = Guardian::start(CONFIG, &[guarded], None).expect("a guardian");
+        let guardian = Guardian::start(CONFIG, &[guarded], None, None).expect("a guardian");
         Self { drive, guardian, stop: StopRequest::default(), _line: line }
     }
 
@@ -182,14 +182,14 @@ fn the_end_of_a_controller_stops_the_drives_unless_they_are_off() {
 
 #[test]
 fn lines_that_cannot_be_guarded_are_refused() {
-    let refused = Guardian::start(CONFIG, &[], None).map(drop);
+    let refused = Guardian::start(CONFIG, &[], None, None).map(drop);
     assert_eq!(refused, Err(GuardianError::Lines { lines: 0 }));
     // A watchdog makes an invalid telegram no better.
     let (_device, written) = io::pipe().expect("a pipe");
     let watchdog = OwnedFd::from(written);
     for length in [0, 65] {
         let guarded = GuardedLine { line: watchdog.try_clone().expect("a pipe"), telegram: vec![0; length] };
-        let refused = Guardian::start(CONFIG, &[guarded], Some(&watchdog)).map(drop);
+        let refused = Guardian::start(CONFIG, &[guarded], Some(&watchdog), None).map(drop);
         assert_eq!(refused, Err(GuardianError::Lines { lines: 1 }), "{length} bytes");
     }
 }
@@ -208,7 +208,7 @@ fn a_watchdog_gets_a_byte_per_interval_and_is_switched_off_by_an_orderly_end_onl
     for off in [true, false] {
         let (mut device, written) = io::pipe().expect("a pipe");
         nix::fcntl::fcntl(&device, nix::fcntl::FcntlArg::F_SETFL(nix::fcntl::OFlag::O_NONBLOCK)).expect("a pipe");
-        let mut guardian = Guardian::start(CONFIG, &[], Some(&OwnedFd::from(written))).expect("a guardian");
+        let mut guardian = Guardian::start(CONFIG, &[], Some(&OwnedFd::from(written)), None).expect("a guardian");
         let mut pulse = guardian.pulse(StopRequest::default());
         let mut count = 0;
         let mut fed = |device: &mut io::PipeReader, pulse: &mut Pulse, what: &str| {
@@ -248,7 +248,7 @@ fn the_nodes_of_a_guarded_bus_are_stopped_by_frames() {
     let (bus, socket) = std::os::unix::net::UnixDatagram::pair().expect("sockets");
     socket.set_nonblocking(true).expect("a socket");
     let guarded = GuardedLine { line: socket.into(), telegram: stop_of_all_nodes() };
-    let guardian = Guardian::start(CONFIG, &[guarded], None).expect("a guardian");
+    let guardian = Guardian::start(CONFIG, &[guarded], None, None).expect("a guardian");
     let mut pulse = guardian.pulse(StopRequest::default());
     pulse.beat();
     let mut frame = [0; 32];

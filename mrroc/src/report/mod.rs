@@ -84,6 +84,8 @@ pub struct RunReport {
     pub incomplete_files: Vec<IncompleteFile>,
     /// Figures that the task reported, by name.
     pub figures: BTreeMap<String, f64>,
+    /// Axes that oscillated about their set-points.
+    pub oscillations: Vec<OscillationReport>,
     /// Errors that drives reported without a fault.
     pub warnings: Vec<WarningReport>,
     /// Reports of further errors, which are counted alone.
@@ -129,6 +131,22 @@ impl RunReport {
                 }
             })
         });
+        let robots = servo.into_iter().flat_map(|servo| (0..file.cell.robot.len()).map(move |robot| (servo, robot)));
+        let oscillations = robots.flat_map(|(servo, robot)| {
+            let axes = servo.oscillations(robot).enumerate();
+            axes.filter_map(move |(axis, found)| {
+                let (found, after) = found?;
+                Some(OscillationReport {
+                    axis: file.axis_name(robot, axis),
+                    frequency_hz: found.frequency,
+                    amplitude_rad: found.amplitude,
+                    velocity_rad_s: found.velocity(),
+                    at_rest: found.at_rest,
+                    time_s: after.as_secs_f64(),
+                    what: found.to_string(),
+                })
+            })
+        });
         let groups = servo.into_iter().flat_map(Servo::group_counters).zip(budgets).enumerate();
         let buses = groups.map(|(index, (group, budget))| BusReport {
             name: budget.name.clone(),
@@ -149,6 +167,7 @@ impl RunReport {
         Self {
             cell: file.cell.name.clone(),
             bench,
+            oscillations: oscillations.collect(),
             warnings: warnings.collect(),
             robots: end.tracks.reports(),
             lost_records: counters.dropped_records,
@@ -194,6 +213,30 @@ impl RunReport {
                 faults.count().to_string(),
             ]
         })
+    }
+}
+
+/// One axis whose measured position oscillated about its set-points: the greatest oscillation of the run.
+#[derive(Debug, Serialize)]
+pub struct OscillationReport {
+    /// The axis, as in [`AxisReport::name`].
+    axis: String,
+    frequency_hz: f64,
+    /// Amplitude of the position of the motor, rad.
+    amplitude_rad: f64,
+    /// Amplitude of the velocity of the motor, rad/s.
+    velocity_rad_s: f64,
+    /// Whether the set-point stood still.
+    at_rest: bool,
+    /// Time of the first oscillation, from the first cycle, s.
+    time_s: f64,
+    what: String,
+}
+
+impl fmt::Display for OscillationReport {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { axis, what, time_s, .. } = self;
+        write!(f, "axis {axis}: {what}, at {time_s:.3} s: lower its gains or check its load")
     }
 }
 

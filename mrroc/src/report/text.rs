@@ -107,6 +107,9 @@ impl fmt::Display for RunReport {
         for denied in &self.denied {
             writeln!(f, "denied: {denied}")?;
         }
+        for oscillation in &self.oscillations {
+            writeln!(f, "warning: {oscillation}")?;
+        }
         for warning in &self.warnings {
             writeln!(f, "warning: {warning}")?;
         }

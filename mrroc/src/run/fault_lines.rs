@@ -12,13 +12,14 @@ use drive::ultrasonic::UltrasonicFault;
 use drive::wrench::{WrenchAxis, WrenchFault};
 use drive::{BringUpError, Fault, Refusal};
 use serial::LineError;
-use servo::{HomingFailure, LawFault, ServoFault, StopCause};
+use servo::{HomingFailure, LawFault, Oscillation, ServoFault, StopCause};
 
 use super::descriptions::{describe_fault, of_guardian, of_power, of_servo_hang, of_servo_thread};
 use super::*;
 use crate::guardian::GuardianFault;
 use crate::tasks::tests::two_arms;
 
+const OSCILLATION: Oscillation = Oscillation { frequency: 123.4, amplitude: 123.4567, at_rest: false };
 const WAITED: Duration = Duration::from_micros(150_250);
 
 /// Phrases of which each line has one: they say what a person does next.
@@ -130,6 +131,9 @@ fn of_axis_controllers() -> Vec<AxisControllerFault> {
     let faults = vec![
         F::Silent { cycles: 3 },
         F::Late { missing: 60, cycles: 200 },
+        F::Delayed { cycles: 20, periods: 12 },
+        F::Repeated { answers: 12 },
+        F::NotIndexed { position: -2_000_000 },
         F::NotSent { cycles: 3 },
         F::Line(LineError::Gone),
         F::Line(LineError::Os(5)),
@@ -147,6 +151,9 @@ fn of_axis_controllers() -> Vec<AxisControllerFault> {
         match fault {
             F::Silent { .. }
             | F::Late { .. }
+            | F::Delayed { .. }
+            | F::Repeated { .. }
+            | F::NotIndexed { .. }
             | F::NotSent { .. }
             | F::Line(_)
             | F::Jumped { .. }
@@ -202,6 +209,7 @@ fn of_axes() -> Vec<StopCause> {
         C::Frozen { travel: 123.4567 },
         C::BrakeSlips { travel: -123.4567 },
         C::Runaway { velocity: -1234.5, limit: 300.0 },
+        C::Oscillates(OSCILLATION),
         C::NotBraking { velocity: -1234.5, limit: 300.0 },
         C::LimitSwitch { upper: true },
         C::PositionLimit { position: -1234.5678, limit: -1200.0 },
@@ -257,6 +265,7 @@ fn of_robots() -> Vec<StopCause> {
             | C::Frozen { .. }
             | C::BrakeSlips { .. }
             | C::Runaway { .. }
+            | C::Oscillates(_)
             | C::NotBraking { .. }
             | C::LimitSwitch { .. }
             | C::PositionLimit { .. }

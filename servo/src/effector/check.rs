@@ -63,6 +63,12 @@ impl Effector {
                 continue;
             }
             axis.track(error, self.state);
+            let elapsed = f64::from(tick.periods) * tick.dt;
+            if let Some(found) = axis.watch_oscillation(error, tick.number, elapsed) {
+                axis.doubted = true;
+                self.lose(tick, index, StopCause::Oscillates(found));
+                continue;
+            }
             let searching = matches!(self.state, ServoState::Homing | ServoState::Halting(_))
                 && axis.config.frozen == FrozenWatch::Always;
             if let Some(travel) = axis.frozen(error).filter(|_| commanding || searching) {

@@ -7,6 +7,7 @@ mod host_loops;
 mod laws;
 mod limit_switches;
 mod motion;
+mod oscillation;
 mod power;
 mod snapshots;
 mod speed;

@@ -2,6 +2,8 @@
 //! `mrroc check` refuses is refused by `mrroc run` with the same text. Neither command panics, hangs or takes more than
 //! 200 MB.
 //!
+//! Serial lines behind USB adapters are not stopped.
+//!
 //! The cases of a seed are always the same. `MRROC_RANDOM_SEED` sets the seed; the default is 1. `MRROC_RANDOM_TIMES`
 //! multiplies the number of cases. Its default 1 takes about a minute on two processors. A value of 48 applies every
 //! operator to every key of every cell. Each disagreement is printed at once with its case. At the end, the test fails
@@ -14,6 +16,8 @@ use verdict::{Disagreement, Verdict, judge_but};
 mod exceptions;
 
 mod homed;
+
+mod latency;
 
 mod mutations;
 

@@ -82,7 +82,7 @@ impl Detector {
             StopCause::FollowingError { .. } | StopCause::NotBraking { .. } => Self::FollowingError,
             StopCause::Frozen { .. } => Self::Frozen,
             StopCause::BrakeSlips { .. } => Self::Brake,
-            StopCause::Runaway { .. } => Self::Runaway,
+            StopCause::Runaway { .. } | StopCause::Oscillates(_) => Self::Runaway,
             StopCause::LimitSwitch { .. } => Self::LimitSwitches,
             StopCause::NotReady { .. } | StopCause::HomingFailed | StopCause::NoReference(_) => Self::TimeOuts,
             StopCause::Overrun { .. } | StopCause::Overloaded { .. } => Self::Deadlines,
@@ -135,12 +135,12 @@ impl Detector {
     fn of_axis_controller(fault: AxisControllerFault) -> Option<Self> {
         use AxisControllerFault as F;
         Some(match fault {
-            F::Silent { .. } | F::Late { .. } => Self::Answers,
+            F::Silent { .. } | F::Delayed { .. } | F::Late { .. } => Self::Answers,
             F::NotSent { .. } => Self::Sending,
             F::Line(_) => Self::Port,
             F::Jumped { .. } => Self::Plausibility,
-            F::Frozen { .. } => Self::Frozen,
-            F::Restarted | F::KeepsReference { .. } => Self::NodeState,
+            F::Frozen { .. } | F::Repeated { .. } => Self::Frozen,
+            F::Restarted | F::KeepsReference { .. } | F::NotIndexed { .. } => Self::NodeState,
             F::PowerStage | F::Overcurrent | F::Error => Self::DriveStatus,
             // The origin of the stop is another axis of the cabinet.
             F::Cabinet { .. } | F::Refused(_) => return None,

@@ -137,7 +137,7 @@ enum At {
 
 /// Measures one axis, and writes the files of the options.
 pub fn identify(options: &Options) -> anyhow::Result<Measured<IdentifyReport>> {
-    signals::block_suspension()?;
+    signals::block_signals_of_writes()?;
     let file = CellFile::read(&options.cell)?;
     let place = file.find_axis(&options.axis, false)?;
     let mut config = setup::servo_config(&file);

@@ -48,7 +48,7 @@ pub struct Options {
 /// Stops the controller of a cell, and waits until its process has ended. Exit status 1: the process did not end in time.
 /// An error: no controller was found, or it must not be signalled.
 pub fn stop(options: &Options) -> anyhow::Result<ExitCode> {
-    let places = Places { can: options.can.clone(), serial: options.serial.clone(), set_bitrate: false };
+    let places = Places { can: options.can.clone(), serial: options.serial.clone(), ..Places::default() };
     let (interfaces, ttys) = places.all(&CellFile::read(&options.cell)?)?;
     let found = controllers(&interfaces, &ttys)?;
     if found.is_empty() {

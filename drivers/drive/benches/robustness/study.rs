@@ -1,7 +1,7 @@
 //! A motor in full swing whose answers are damaged on the line, and the positions that its host believes.
 //!
 //! The drive is built from the layouts of the telegrams alone. The drive answers every write with a sample of its
-//! motion, which does not depend on the host. Requests arrive undamaged, because a host cannot see the effect of a
+//! motion, which depends on time alone. Requests arrive undamaged, because a host cannot see the effect of a
 //! damaged request.
 
 use std::collections::VecDeque;
@@ -13,7 +13,7 @@ use std::time::Duration;
 use can::Instant;
 use mrroc_drive::axis_controller::{AxisConfig, AxisControllerGroup, Control, GroupConfig, Protocol};
 use mrroc_drive::{AxisCommand, AxisState, DriveGroup, Increments, Scale};
-use serial::nfv2::{Answer, FrameBuilder, Status};
+use serial::nfv2::{Answer, Command, Frame, FrameBuilder, START, Status};
 use serial::{Line, LineCounters, LineError, hi_moxa};
 
 const PERIOD: Duration = Duration::from_millis(2);
@@ -119,18 +119,27 @@ impl World {
         (position.round() as i32, (phase.cos() * 9_000.0) as i16)
     }
 
-    fn answer(&mut self) {
+    fn answer(&mut self, request: &[u8]) {
         let (position, current) = self.motion();
         self.position = position;
         let switch = if self.cycle % 64 < 10 { Status::HOME_SWITCH } else { 0 };
         let mut bytes = match self.protocol {
-            Protocol::Nfv2 => FrameBuilder::new(8)
-                .answer(Answer::Position(position))
-                .answer(Answer::Current(current))
-                .answer(Answer::Status(Status(switch | Status::SYNCHRONIZED)))
-                .finish()
-                .expect("three answers fit a frame")
-                .to_vec(),
+            Protocol::Nfv2 => {
+                let start = request.iter().position(|byte| *byte == START).expect("requests arrive undamaged");
+                let frame = Frame::parse(&request[start..]).expect("requests arrive undamaged");
+                let mut answer = FrameBuilder::new(8);
+                for command in frame.commands().flatten() {
+                    match command {
+                        Command::ReadPosition => _ = answer.answer(Answer::Position(position)),
+                        Command::ReadCurrent => _ = answer.answer(Answer::Current(current)),
+                        Command::ReadStatus => {
+                            answer.answer(Answer::Status(Status(switch | Status::SYNCHRONIZED)));
+                        }
+                        _ => {}
+                    }
+                }
+                answer.finish().expect("every request asks for a position").to_vec()
+            }
             Protocol::HiMoxa => hi_moxa::Answer {
                 start: 0x2A,
                 flags: hi_moxa::Flags(switch as u8 | hi_moxa::Flags::SYNCHRONIZED),
@@ -212,10 +221,10 @@ impl World {
 struct Channel(Arc<Mutex<World>>);
 
 impl Line for Channel {
-    fn write(&mut self, _now: Instant, bytes: &[u8]) -> Result<usize, LineError> {
+    fn write(&mut self, now: Instant, bytes: &[u8]) -> Result<usize, LineError> {
         let mut world = self.0.lock().expect("one thread has it");
-        world.cycle += 1;
-        world.answer();
+        world.cycle = now.as_nanos() / PERIOD.as_nanos() as u64;
+        world.answer(bytes);
         Ok(bytes.len())
     }
 

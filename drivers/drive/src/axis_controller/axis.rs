@@ -8,7 +8,7 @@ use super::config::{AxisConfig, Control, GroupConfig};
 use super::exchange::{Exchange, Reading};
 use super::fault::{AxisControllerFault, FaultLatch};
 use super::phase::{Acknowledgement, Phase, PhaseEvent};
-use super::plausibility::{FreezeCheck, PositionCheck, Verdict};
+use super::plausibility::{FreezeCheck, Measured, PositionCheck, Verdict};
 use super::stream::{Answer, Stream};
 use super::telegram::{ControllerMode, Dialect, Telegram};
 use crate::{AxisCommand, AxisState, Homing, Milliamperes, Power, Refusal, Scale, Setpoint, Switches};
@@ -42,7 +42,9 @@ pub(super) struct SerialAxis {
     position_check: PositionCheck,
     freeze_check: FreezeCheck,
     status: DebouncedStatus,
+    measured: Measured,
     reference: Reference,
+    pulse: Pulse,
     /// As the last reading left it.
     state: AxisState,
     /// Set-point of the last telegram, in the units of the drive.
@@ -50,6 +52,8 @@ pub(super) struct SerialAxis {
     pub(super) telegram: Telegram,
     /// The telegram is the first to take torque away: older telegrams that the line still holds are discarded before it.
     pub(super) discards_unsent: bool,
+    /// The telegram may be left out: it repeats what the drive has acknowledged, with another set-point at most.
+    repeats: bool,
     pub(super) counters: AxisCounters,
 }
 
@@ -72,6 +76,14 @@ struct DebouncedStatus {
     confirmed: Status,
     /// Bits of the last answer.
     last: Status,
+}
+
+/// Whether the counter stood at zero when the drive first showed its reference, as the index pulse leaves it.
+#[derive(Clone, Copy, Debug, Default)]
+struct Pulse {
+    seen: bool,
+    /// When the drive was last asked for a status that showed no reference.
+    before: Instant,
 }
 
 /// Reference of the position counter, as the host knows it.
@@ -97,7 +109,7 @@ pub(super) struct Learnt {
 impl SerialAxis {
     pub(super) fn new(group: &GroupConfig, config: &AxisConfig, line: u8) -> Self {
         let limit = config.limit().map_or(0, |Milliamperes(limit)| limit);
-        let dialect = Dialect { protocol: group.protocol, address: config.address, control: config.control };
+        let dialect = Dialect::new(group.protocol, config.address, config.control);
         let setup = Setup {
             dialect,
             scale: config.scale,
@@ -115,16 +127,19 @@ impl SerialAxis {
             phase: Phase::Off,
             acknowledgement: Acknowledgement::BROUGHT_UP,
             faults: FaultLatch::new(line),
-            exchange: Exchange::new(group.tolerated_missing, Instant::ZERO),
+            exchange: Exchange::new(group.protocol, group.tolerated_missing, Instant::ZERO),
             stream: Stream::new(group.protocol, config.address),
             position_check: PositionCheck::new(group, config),
             freeze_check: FreezeCheck::new(setup.full_scale),
             status: DebouncedStatus::default(),
+            measured: Measured::default(),
             reference: Reference::default(),
+            pulse: Pulse::default(),
             state: AxisState::default(),
             setpoint: 0,
             telegram: Telegram::NONE,
             discards_unsent: false,
+            repeats: false,
             counters: AxisCounters::default(),
         }
     }
@@ -136,39 +151,42 @@ impl SerialAxis {
         self.phase = Phase::Off;
         self.acknowledgement = Acknowledgement::BROUGHT_UP;
         self.faults.reset();
-        self.exchange = Exchange::new(setup.tolerated_missing, at);
+        self.exchange = Exchange::new(setup.dialect.protocol, setup.tolerated_missing, at);
         self.stream = stream;
         self.position_check.begin(answer.position.0, at);
         self.freeze_check = FreezeCheck::new(setup.full_scale);
-        self.status = DebouncedStatus { confirmed: answer.status, last: answer.status };
-        self.reference = match answer.status.any(Status::SYNCHRONIZED) {
+        self.measured.take(answer);
+        let status = self.measured.status;
+        self.status = DebouncedStatus { confirmed: status, last: status };
+        self.reference = match status.any(Status::SYNCHRONIZED) {
             true => Reference::Known,
             false => Reference::Unknown,
         };
+        self.pulse = Pulse { seen: false, before: at };
         self.state = AxisState { at, ..AxisState::default() };
         self.setpoint = 0;
+        self.repeats = false;
         self.telegram = self.encode();
-        self.measure(answer);
+        self.measure();
     }
 
     pub(super) fn take(&mut self, bytes: &[u8], now: Instant) {
-        let pending = self.exchange.pending;
-        let found = self.stream.take(bytes, pending, &mut self.counters);
-        let expected = self.exchange.receive(found.count, &mut self.counters);
-        if let Some(answer) = found.answer
-            && expected
-        {
+        let (owed, asked) = (self.exchange.outstanding(), self.exchange.asked());
+        let found = self.stream.take(bytes, owed, asked, &mut self.counters);
+        if let Some(answer) = self.exchange.receive(&found, &mut self.counters) {
             self.judge(answer, now);
         }
     }
 
     fn judge(&mut self, answer: Answer, now: Instant) {
-        if answer.current.0.unsigned_abs() > self.setup.greatest_current {
+        let greatest = self.setup.greatest_current;
+        if answer.current.is_some_and(|current| current.0.unsigned_abs() > greatest) {
             self.counters.implausible += 1;
             return;
         }
         let may_index = self.phase.mode() == ControllerMode::Index || self.acknowledgement.may_index();
         let sent_at = self.exchange.sent_at;
+        let mut indexed = false;
         match self.position_check.judge(answer, sent_at, may_index) {
             Verdict::Plausible => {}
             Verdict::Implausible => {
@@ -181,10 +199,14 @@ impl SerialAxis {
             }
             Verdict::Indexed(before) => {
                 self.counters.indexed += 1;
-                self.status.last = before;
+                self.status.last = before.unwrap_or(self.status.last);
+                indexed = true;
             }
-            Verdict::Jumped(from) => {
-                let restarted = self.loses_reference(answer.status);
+            Verdict::Jumped { from, status } => {
+                if answer.status.is_none() {
+                    self.status.last = status.unwrap_or(self.status.last);
+                }
+                let restarted = self.loses_reference(status.unwrap_or(self.status.last));
                 self.doubt_reference();
                 self.faults.latch(if restarted {
                     AxisControllerFault::Restarted
@@ -194,17 +216,26 @@ impl SerialAxis {
                 });
             }
         }
-        self.accept(answer, now, may_index);
+        self.accept(answer, now, indexed, may_index);
     }
 
-    fn accept(&mut self, answer: Answer, now: Instant, may_index: bool) {
+    fn accept(&mut self, answer: Answer, now: Instant, indexed: bool, may_index: bool) {
         self.counters.accepted += 1;
         self.exchange.reading = Reading::Accepted;
         let answers = &mut self.acknowledgement.answers;
         *answers = answers.saturating_add(1);
         (self.state.at, self.state.sampled) = (now, self.exchange.asked_at);
-        self.status.take(answer.status);
-        self.measure(answer);
+        if let Some(status) = answer.status {
+            self.look_for_pulse(answer.position.0, status);
+            self.status.take(status);
+        }
+        if indexed {
+            self.pulse.seen = true;
+            // Two positions at the pulse confirm the status, which only one of their answers may have.
+            self.status.confirm(Status::SYNCHRONIZED);
+        }
+        self.measured.take(answer);
+        self.measure();
         // A faulted drive is not told its mode any more.
         let answers = self.setup.dialect.answers_to_switch_on();
         if !self.faults.is_latched() && self.acknowledgement.answers >= answers {
@@ -217,12 +248,25 @@ impl SerialAxis {
         let forgetting = matches!(self.phase, Phase::Unreferencing { .. });
         let synchronized = self.status.confirmed.any(Status::SYNCHRONIZED);
         if self.reference == Reference::Unknown && synchronized && may_index && !forgetting {
-            self.reference = Reference::Known;
+            match self.pulse.seen {
+                true => self.reference = Reference::Known,
+                false => self.faults.latch(AxisControllerFault::NotIndexed { position: answer.position.0 }),
+            }
         }
         let responsive = self.phase.has_torque() && !self.status.confirmed.any(LIMITED);
-        if let Some(cycles) = self.freeze_check.judge(answer, self.setpoint, responsive) {
+        if let Some(cycles) = self.freeze_check.judge(self.measured, self.setpoint, responsive) {
             self.doubt_reference();
             self.faults.latch(AxisControllerFault::Frozen { cycles });
+        }
+    }
+
+    /// Judges the first answer with a reference. The pulse came after the last answer without one.
+    fn look_for_pulse(&mut self, position: i32, status: Status) {
+        let asked_at = self.exchange.sent_at;
+        if !status.any(Status::SYNCHRONIZED) {
+            self.pulse = Pulse { seen: false, before: asked_at };
+        } else if !self.status.last.any(Status::SYNCHRONIZED) {
+            self.pulse.seen = self.position_check.is_near_zero(position, asked_at.since(self.pulse.before));
         }
     }
 
@@ -231,12 +275,12 @@ impl SerialAxis {
         self.reference = Reference::Invalid;
     }
 
-    fn measure(&mut self, answer: Answer) {
-        let scale = &self.setup.scale;
-        self.state.increments = answer.position;
-        self.state.position = scale.position(answer.position);
+    fn measure(&mut self) {
+        let (scale, measured) = (&self.setup.scale, self.measured);
+        self.state.increments = measured.position;
+        self.state.position = scale.position(measured.position);
         self.state.velocity = self.position_check.velocity() / scale.increments_per_radian();
-        self.state.torque = scale.torque_of(answer.current, self.setup.torque_constant);
+        self.state.torque = scale.torque_of(measured.current, self.setup.torque_constant);
     }
 
     /// Ends the reading of a cycle. `due` says whether the cycle before asked for an answer. Returns the state, and
@@ -342,6 +386,7 @@ impl SerialAxis {
             self.acknowledgement = Acknowledgement::pending(before.mode());
         }
         self.discards_unsent = mode_changes && self.phase.rests();
+        self.repeats = self.acknowledgement.is_complete() && !self.faults.is_latched() && !self.may_have_restarted();
         self.setpoint = match setpoint {
             _ if !self.phase.follows() || self.may_have_restarted() => 0,
             _ if hold => self.setpoint,
@@ -367,7 +412,7 @@ impl SerialAxis {
     }
 
     fn encode(&self) -> Telegram {
-        let (dialect, mode) = (self.setup.dialect, self.phase.mode());
+        let (dialect, mode) = (self.setup.dialect.asking(self.exchange.next()), self.phase.mode());
         let Acknowledgement { telegrams, answers, .. } = self.acknowledgement;
         let tell = !self.acknowledgement.is_complete();
         match self.phase {
@@ -396,6 +441,15 @@ impl SerialAxis {
         self.reference == Reference::Known && !status.any(Status::SYNCHRONIZED)
     }
 
+    /// Leaves the telegram out where that can prove a delay of the answers. Returns whether it does.
+    pub(super) fn leave_out(&mut self) -> bool {
+        let leaves_out = self.repeats && self.exchange.wants_gap();
+        if leaves_out {
+            self.exchange.leave_out(&mut self.counters);
+        }
+        leaves_out
+    }
+
     /// Whether the line took the whole telegram.
     pub(super) fn handed_over(&mut self, taken: bool, now: Instant) {
         self.exchange.send(taken, now, &mut self.counters);
@@ -418,6 +472,12 @@ impl DebouncedStatus {
         let differ = status.0 ^ self.last.0;
         self.confirmed = Status(self.confirmed.0 & differ | status.0 & !differ);
         self.last = status;
+    }
+
+    /// Confirms bits that the last answer may not have had.
+    fn confirm(&mut self, bits: u16) {
+        self.confirmed.0 |= bits;
+        self.last.0 |= bits;
     }
 
     /// Whether `bit` is confirmed, or shown by the last answer.

@@ -8,6 +8,7 @@ use serial::nfv2::Status;
 
 use super::config::{AxisConfig, GroupConfig, Protocol};
 use super::fault::AxisControllerError;
+use super::objects::Objects;
 use super::plausibility::{PositionCheck, Verdict};
 use super::stream::{Answer, Stream, speaks};
 use super::telegram::{ControllerMode, Dialect, Telegram};
@@ -22,6 +23,9 @@ const CALLS_TO_DRAIN: u8 = 3;
 /// How often a request is made before its silence counts.
 const ATTEMPTS: u8 = 3;
 
+/// Answers that are judged if one of the script took more than a period.
+const ANSWERS_IN_DOUBT: usize = 40;
+
 /// Brings one drive up: to manual mode, where latched errors clear, with its limits set.
 ///
 /// ```text
@@ -31,14 +35,18 @@ const ATTEMPTS: u8 = 3;
 /// ```
 ///
 /// Operation begins with the last answer: the plausibility check has accepted it, and the power stage is on. A line is
-/// refused if most answers took more than a period, since in operation an answer has to come within one. Calls of a
-/// host that catches up with its deadlines do not count as periods.
+/// refused if most answers took more than a period, since in operation an answer has to come within one. If some did,
+/// the last request is repeated until 40 answers are judged. The line is then refused if more than a quarter of the
+/// periods had no answer, as in operation. An answer to a repeated request took more than a period. Calls of a host
+/// that catches up with its deadlines do not count as periods.
 #[derive(Clone, Debug)]
 pub(super) struct BringUp {
     dialect: Dialect,
     period: Duration,
     answer_timeout: Duration,
     script: [Telegram; 5],
+    /// Answers until the end of bring-up.
+    questions: usize,
 
     stage: Stage,
     stream: Stream,
@@ -80,6 +88,7 @@ impl BringUp {
             period: group.period,
             answer_timeout: group.answer_timeout,
             script: [dialect.opening(), manual, manual, limit, manual],
+            questions: 5,
             stage: Stage::Draining(0),
             stream: Stream::new(dialect.protocol, dialect.address),
             position_check: PositionCheck::new(group, config),
@@ -124,11 +133,10 @@ impl BringUp {
                 if self.answered(bytes, counters, step) {
                     let took = now.since(self.asked_at);
                     // Halfway to the second period: calls are not punctual.
-                    let late = self.calls > 1 && took > self.period * 3 / 2;
+                    let late = self.attempts > 0 || self.calls > 1 && took > self.period * 3 / 2;
                     self.late += usize::from(late);
-                    let (late, answers) = (self.late, self.script.len());
-                    if step + 1 == answers && late > answers / 2 {
-                        return Err(AxisControllerError::Late { late, answers });
+                    if step + 1 == self.questions {
+                        self.judge_late_answers()?;
                     }
                     let repeated = self.attempts > 0;
                     (self.heard, self.attempts, self.since) = (0, 0, now);
@@ -160,7 +168,7 @@ impl BringUp {
         };
         let telegram = match next {
             None => return Ok(false),
-            Some(Stage::Asking(step)) => self.script[step],
+            Some(Stage::Asking(step)) => self.script[step.min(self.script.len() - 1)],
             Some(Stage::Probing(protocol, address)) => self.dialect.probe(protocol, address),
             Some(Stage::Draining(_) | Stage::Settling(_) | Stage::Ready) => Telegram::NONE,
         };
@@ -175,20 +183,22 @@ impl BringUp {
 
     /// Whether the request is answered. The last answer must come from a drive that has power.
     fn answered(&mut self, bytes: &[u8], counters: &mut AxisCounters, step: usize) -> bool {
-        let Some(answer) = self.stream.take(bytes, 1, counters).answer else {
+        let all = |answer: &Answer| answer.objects() == Objects::All;
+        let Some(answer) = self.stream.take(bytes, 1, Objects::All, counters).answer.filter(all) else {
             return false;
         };
         self.stream.learn(bytes);
         let before = self.last.map(|last| last.position.0);
         self.objection = match self.position_check.judge(answer, self.asked_at, false) {
-            Verdict::Implausible | Verdict::Unconfirmed | Verdict::Jumped(_) | Verdict::Indexed(_) => {
+            Verdict::Implausible | Verdict::Unconfirmed | Verdict::Jumped { .. } | Verdict::Indexed(_) => {
                 let to = answer.position.0;
                 let from = before.unwrap_or(to);
                 Some(AxisControllerError::Unsteady { from, to })
             }
             Verdict::Plausible if step + 1 < self.script.len() => None,
             Verdict::Plausible => {
-                answer.status.any(Status::POWER_STAGE_FAULT).then_some(AxisControllerError::PowerStage)
+                let dark = answer.status.is_some_and(|status| status.any(Status::POWER_STAGE_FAULT));
+                dark.then_some(AxisControllerError::PowerStage)
             }
         };
         if self.objection.is_none() {
@@ -197,9 +207,22 @@ impl BringUp {
         self.objection.is_none()
     }
 
+    /// Refuses a line whose answers come too late for a cycle. Asks on where too few answers were judged.
+    fn judge_late_answers(&mut self) -> Result<(), AxisControllerError> {
+        let (late, answers) = (self.late, self.questions);
+        // Each late answer adds a period without one.
+        if late > answers / 2 || answers == ANSWERS_IN_DOUBT && 4 * late > answers + late {
+            return Err(AxisControllerError::Late { late, answers });
+        }
+        if late > 0 {
+            self.questions = ANSWERS_IN_DOUBT;
+        }
+        Ok(())
+    }
+
     /// The stage of a step of the script, or of its end.
     fn step(&self, step: usize) -> Stage {
-        if step < self.script.len() { Stage::Asking(step) } else { Stage::Ready }
+        if step < self.questions { Stage::Asking(step) } else { Stage::Ready }
     }
 
     /// The probe after `address` did not answer. NFv2 addresses are probed one by one, as drives obey a broadcast

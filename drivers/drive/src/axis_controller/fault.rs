@@ -15,7 +15,18 @@ pub enum AxisControllerFault {
     /// Answers were missing, damaged or implausible for more cycles than the cell allows. An emergency stop.
     #[error("no answer to be believed for {cycles} cycles: check cable, power and a USB adapter's latency timer")]
     Silent { cycles: u32 },
-    /// More than a quarter of the answers due, 200 at most, were missing or refused, in gaps that are tolerated one by one.
+    /// Answers came late, or late and not at all, for more cycles than the cell allows. Each belonged to an older
+    /// request. An emergency stop.
+    #[error(
+        "answers {periods} {} late for {cycles} cycles: check the load of the host and a USB adapter's latency timer",
+        if *.periods == 1 { "period" } else { "periods" }
+    )]
+    Delayed { cycles: u32, periods: u32 },
+    /// The last answers had the same objects, although their requests asked for different ones. An emergency stop.
+    #[error("the same answer to {answers} different requests: look for what repeats it, switch the drive off and on")]
+    Repeated { answers: u32 },
+    /// More than a quarter of the answers due, 200 at most, were missing or refused, or more than half of them missing or
+    /// late, in gaps that are tolerated one by one.
     #[error(
         "{missing} of {cycles} answers missing or late: set a USB adapter's latency timer to 1 ms, check the cable"
     )]
@@ -38,6 +49,11 @@ pub enum AxisControllerFault {
     /// The drive keeps a reference that it was told to forget before the search for the index pulse.
     #[error("kept its reference though told to forget it for {cycles} cycles: switch it off and on")]
     KeepsReference { cycles: u32 },
+    /// The drive shows a reference in a search, but its counter was not set by the index pulse.
+    #[error(
+        "shows a reference at count {position}, which the index pulse has not set: switch it off and on, home again"
+    )]
+    NotIndexed { position: i32 },
     #[error("power stage is off or has failed: check the emergency stop and the power of the cabinet")]
     PowerStage,
     #[error("overcurrent protection acted")]
@@ -59,12 +75,17 @@ impl AxisControllerFault {
     #[doc(alias = "is_panic")]
     pub fn is_emergency_stop(self) -> bool {
         match self {
-            Self::Silent { .. } | Self::NotSent { .. } | Self::Line(_) | Self::Jumped { .. } | Self::Frozen { .. } => {
-                true
-            }
+            Self::Silent { .. }
+            | Self::NotSent { .. }
+            | Self::Line(_)
+            | Self::Jumped { .. }
+            | Self::Frozen { .. }
+            | Self::Delayed { .. }
+            | Self::Repeated { .. } => true,
             Self::Restarted
             | Self::Late { .. }
             | Self::KeepsReference { .. }
+            | Self::NotIndexed { .. }
             | Self::PowerStage
             | Self::Overcurrent
             | Self::Error

@@ -56,19 +56,26 @@
 //! lists the error rates of accepted answers.
 //!
 //! # Late answers
-//! Answers carry no number. An answer that is a cycle late counts as the next one if the next one does not come as
-//! well. A late answer of a moving motor is implausible; a late answer of a standing motor says the same. More than a
-//! quarter missing of 200 answers is the fault [`AxisControllerFault::Late`]. Answers that are late by the same time in
-//! every cycle are not detected, since each cycle then has an answer.
+//! Bring-up refuses a line whose answers take more than a period, and so does operation. Answers carry no number;
+//! `delay` describes how late ones are told from those in time, and which delays are not seen. A late answer counts as
+//! missing. More late and missing answers in a row than tolerated are the fault [`AxisControllerFault::Delayed`], or
+//! [`AxisControllerFault::Silent`] if none came. More than a quarter missing of 200 answers, or more than half missing
+//! or late, is the fault [`AxisControllerFault::Late`].
+//!
+//! In NFv2, a cycle reads either the current or the status or both, besides the position. The state keeps the last
+//! value of the object that was not read. In the older protocol, a missing answer is followed by a cycle without a
+//! telegram, in which the drive keeps its set-point.
 //!
 //! Left out: position and speed modes, and all boards of the family that are no drives. Read [`DriveGroup`] first, then
-//! `phase`, `axis`, `bring_up`, `stream` and `plausibility`.
+//! `phase`, `axis`, `bring_up`, `stream`, `delay` and `plausibility`.
 
 mod axis;
 mod bring_up;
 mod config;
+mod delay;
 mod exchange;
 mod fault;
+mod objects;
 mod phase;
 mod plausibility;
 mod stream;
@@ -122,7 +129,7 @@ struct Controller<L> {
 /// The bytes that put a drive into its error state: it opens its power stage and the emergency-stop circuit of its
 /// cabinet. For a process that stops the drives of a host that is silent. An NFv2 drive does not answer.
 pub fn error_state_telegram(protocol: Protocol, axis: &AxisConfig) -> Vec<u8> {
-    let dialect = Dialect { protocol, address: axis.address, control: axis.control };
+    let dialect = Dialect::new(protocol, axis.address, axis.control);
     dialect.error_state().bytes().to_vec()
 }
 
@@ -138,7 +145,7 @@ pub struct AxisCounters {
     pub damaged: u64,
     /// Answers from another address.
     pub foreign: u64,
-    /// Answers that came together with a later one and were skipped.
+    /// Answers to an older request than the last one. They are not accepted.
     pub late: u64,
     /// Answers without a request.
     pub surplus: u64,
@@ -148,6 +155,8 @@ pub struct AxisCounters {
     pub sent: u64,
     /// Telegrams that the line did not take, or not whole.
     pub refused: u64,
+    /// Telegrams that were left out to find answers that come late. The drive kept its set-point.
+    pub left_out: u64,
 }
 
 impl<L: Line> AxisControllerGroup<L> {
@@ -273,6 +282,9 @@ impl<L: Line> DriveGroup for AxisControllerGroup<L> {
     fn send(&mut self, now: Instant) -> bool {
         let mut all = true;
         for Controller { line, axis, .. } in &mut self.controllers {
+            if axis.leave_out() {
+                continue;
+            }
             if axis.discards_unsent {
                 line.discard_unsent();
             }

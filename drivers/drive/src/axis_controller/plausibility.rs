@@ -1,11 +1,14 @@
 //! Plausibility checks of answers: the reach of the motor, and answers that never change.
 
+use std::time::Duration;
+
 use can::Instant;
 use serial::nfv2::Status;
 
 use super::config::{AxisConfig, GroupConfig};
 use super::stream::Answer;
 use crate::step_check::{StepBounds, StepCheck};
+use crate::{Increments, Milliamperes};
 
 /// Answers in a row that must agree about a position beyond reach before it is accepted as a jump of the counter.
 const ANSWERS_TO_JUMP: u32 = 3;
@@ -53,7 +56,8 @@ struct Sample {
 #[derive(Clone, Copy, Debug)]
 struct Candidate {
     last: Sample,
-    status: Status,
+    /// Of the last answer with a status.
+    status: Option<Status>,
     answers: u32,
     /// The position is beyond reach, and the index pulse cannot have set it.
     beyond_reach: bool,
@@ -66,10 +70,14 @@ pub(super) enum Verdict {
     Implausible,
     /// The position looks like the index pulse: the next answer decides.
     Unconfirmed,
-    /// The index pulse set the counter. Contains the status of the answer before, which agrees.
-    Indexed(Status),
-    /// The counter has changed for good, and not by motion. Contains the last accepted position.
-    Jumped(i32),
+    /// The index pulse set the counter. Contains the status of the answers before, which agrees, if they had one.
+    Indexed(Option<Status>),
+    /// The counter has changed for good, and not by motion, from the last accepted position. Contains the last status
+    /// of the answers that agree, if they had one.
+    Jumped {
+        from: i32,
+        status: Option<Status>,
+    },
 }
 
 impl PositionCheck {
@@ -108,7 +116,7 @@ impl PositionCheck {
         let moved = f64::from(new.position.wrapping_sub(last.position));
         let within_reach = moved.abs() <= self.reach(dt);
         if within_reach && self.plausible(moved, dt) {
-            return self.accept_motion(new, moved, dt, may_index);
+            return self.accept_motion(new, moved, dt, answer.status, may_index);
         }
         let agree = self.candidate.filter(|candidate| {
             let moved = f64::from(new.position.wrapping_sub(candidate.last.position));
@@ -116,15 +124,18 @@ impl PositionCheck {
         });
         let answers = agree.map_or(0, |candidate| candidate.answers) + 1;
         let near_zero = f64::from(new.position).abs() <= self.reach(dt);
-        let referenced = |status: Status| status.any(Status::SYNCHRONIZED);
+        let referenced = |status: Option<Status>| status.is_none_or(|status| status.any(Status::SYNCHRONIZED));
         let index = may_index && !within_reach && near_zero && referenced(answer.status);
-        self.candidate =
-            Some(Candidate { last: new, status: answer.status, answers, beyond_reach: !within_reach && !index });
+        let status = answer.status.or(agree.and_then(|before| before.status));
+        self.candidate = Some(Candidate { last: new, status, answers, beyond_reach: !within_reach && !index });
         let Some(before) = agree.filter(|_| answers >= ANSWERS_TO_CONFIRM) else {
             return if index { Verdict::Unconfirmed } else { Verdict::Implausible };
         };
         if within_reach {
-            return self.accept_motion(new, moved, dt, may_index);
+            return self.accept_motion(new, moved, dt, status, may_index);
+        }
+        if index && status.is_none() {
+            return Verdict::Unconfirmed;
         }
         if index && referenced(before.status) {
             let velocity = self.velocity.map(|(velocity, _)| velocity);
@@ -136,12 +147,17 @@ impl PositionCheck {
             return Verdict::Implausible;
         }
         self.begin(new.position, at);
-        Verdict::Jumped(last.position)
+        Verdict::Jumped { from: last.position, status }
     }
 
     /// Velocity between the last two accepted positions, increments/s; zero at the beginning.
     pub(super) fn velocity(&self) -> f64 {
         self.velocity.map_or(0.0, |(velocity, _)| velocity)
+    }
+
+    /// Whether the motor can have moved to `position` from zero in `time`.
+    pub(super) fn is_near_zero(&self, position: i32, time: Duration) -> bool {
+        f64::from(position).abs() <= self.reach(time.as_secs_f64())
     }
 
     /// Whether the position of the last answer was beyond reach, which the next answers may confirm.
@@ -150,11 +166,11 @@ impl PositionCheck {
     }
 
     /// Accepts a position within reach, unless it confirms a step of the counter.
-    fn accept_motion(&mut self, new: Sample, moved: f64, dt: f64, may_index: bool) -> Verdict {
+    fn accept_motion(&mut self, new: Sample, moved: f64, dt: f64, status: Option<Status>, may_index: bool) -> Verdict {
         self.accept(new, Some(moved / dt), dt);
         let step = self.steps.take(new.position, dt);
         match step {
-            Some(step) if !may_index => Verdict::Jumped(new.position.wrapping_sub(step.moved)),
+            Some(step) if !may_index => Verdict::Jumped { from: new.position.wrapping_sub(step.moved), status },
             _ => Verdict::Plausible,
         }
     }
@@ -187,6 +203,25 @@ impl PositionCheck {
     }
 }
 
+/// The last measured values, of one answer or of several.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Measured {
+    pub(super) position: Increments,
+    pub(super) current: Milliamperes,
+    pub(super) status: Status,
+}
+
+impl Measured {
+    /// Takes the values of an answer, and keeps those that the answer does not have.
+    pub(super) fn take(&mut self, answer: Answer) {
+        *self = Self {
+            position: answer.position,
+            current: answer.current.unwrap_or(self.current),
+            status: answer.status.unwrap_or(self.status),
+        };
+    }
+}
+
 /// Plausibility check for a drive whose answers stay the same in every bit while its set-points change.
 ///
 /// A motor at rest or stalled may send equal answers for hours. Answers count from the change of set-points on.
@@ -194,7 +229,7 @@ impl PositionCheck {
 pub(super) struct FreezeCheck {
     /// Change of the set-points from which on equal answers count, in the units of the drive.
     significant_change: i32,
-    answer: Answer,
+    answer: Measured,
     /// Equal answers since the set-points changed.
     answers: u32,
     /// Least and greatest set-point since the answers are equal.
@@ -205,7 +240,7 @@ impl FreezeCheck {
     pub(super) fn new(full_scale: i16) -> Self {
         Self {
             significant_change: i32::from(full_scale) / 20,
-            answer: Answer::default(),
+            answer: Measured::default(),
             answers: 0,
             setpoints: (0, 0),
         }
@@ -213,7 +248,7 @@ impl FreezeCheck {
 
     /// Judges an answer that came while `setpoint` was the last one sent. `responsive` says that the motor should
     /// react to set-points. Returns the number of equal answers once there are too many.
-    pub(super) fn judge(&mut self, answer: Answer, setpoint: i16, responsive: bool) -> Option<u32> {
+    pub(super) fn judge(&mut self, answer: Measured, setpoint: i16, responsive: bool) -> Option<u32> {
         if answer != self.answer || !responsive {
             *self = Self { answer, answers: 0, setpoints: (setpoint, setpoint), ..*self };
             return None;

@@ -5,21 +5,37 @@ use serial::nfv2::{self, Answer as Item, Frame, Status};
 
 use super::AxisCounters;
 use super::config::Protocol;
+use super::objects::Objects;
 use crate::{Increments, Milliamperes};
 
 /// Bytes of a cyclic NFv2 request: a set-point and three reads.
 pub(super) const NFV2_REQUEST: usize = 15;
 
-/// Bytes of the NFv2 answer to every request of this driver: position, current and status.
+/// Bytes of the longest NFv2 answer to a request of this driver: position, current and status.
 pub(super) const NFV2_ANSWER: usize = 19;
 
-/// An answer of a drive, in either protocol.
+/// Bytes of an NFv2 answer with a position and either a current or a status.
+const NFV2_SHORT_ANSWER: usize = 15;
+
+/// An answer of a drive, in either protocol. A request that asks for the current or for the status alone has an answer
+/// without the other.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Answer {
     pub(super) position: Increments,
-    pub(super) current: Milliamperes,
+    pub(super) current: Option<Milliamperes>,
     /// In the bits of NFv2, which has more bits.
-    pub(super) status: Status,
+    pub(super) status: Option<Status>,
+}
+
+impl Answer {
+    /// Objects of the answer. The position alone is no answer.
+    pub(super) fn objects(self) -> Objects {
+        match (self.current, self.status) {
+            (Some(_), None) => Objects::Current,
+            (None, Some(_)) => Objects::Status,
+            (Some(_), Some(_)) | (None, None) => Objects::All,
+        }
+    }
 }
 
 /// Finds answers among the bytes of a line.
@@ -52,6 +68,7 @@ enum StartByte {
 /// Answers in one reading of a line.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Found {
+    /// The last answer; in NFv2 the last one with the objects of the last request, if there is one.
     pub(super) answer: Option<Answer>,
     pub(super) count: u32,
 }
@@ -66,53 +83,77 @@ impl Stream {
         self.foreign
     }
 
-    /// Takes the bytes of one reading. `owed` says how many requests were not answered yet.
-    pub(super) fn take(&mut self, bytes: &[u8], owed: u32, counters: &mut AxisCounters) -> Found {
+    /// Takes the bytes of one reading. `owed` says how many requests were not answered yet, and `asked` the objects of
+    /// the last one.
+    pub(super) fn take(&mut self, bytes: &[u8], owed: u32, asked: Objects, counters: &mut AxisCounters) -> Found {
         match self.protocol {
-            Protocol::Nfv2 => self.search(bytes, counters),
+            Protocol::Nfv2 => self.search(bytes, asked, counters),
             Protocol::HiMoxa => self.cut(bytes, owed, counters),
         }
     }
 
-    fn search(&mut self, bytes: &[u8], counters: &mut AxisCounters) -> Found {
+    fn search(&mut self, bytes: &[u8], asked: Objects, counters: &mut AxisCounters) -> Found {
         let mut found = Found::default();
         for &byte in bytes {
             self.held[self.length] = byte;
             self.length += 1;
-            // At most as many turns as bytes are held, each of which drops one.
-            while self.length > 0 {
-                let held = &self.held[..self.length];
-                if !begins_answer(held) {
-                    self.drop_first();
-                    continue;
-                }
-                if self.length < NFV2_ANSWER {
-                    break;
-                }
-                match Frame::parse(held).and_then(|frame| Some((frame.address, items(frame)?))) {
-                    Some((address, answer)) if address == self.address => {
-                        found.answer = Some(answer);
-                        found.count += 1;
-                        self.length = 0;
-                    }
-                    Some((address, _)) => {
-                        self.foreign = Some(address);
-                        counters.foreign += 1;
-                        self.length = 0;
-                    }
-                    None => {
-                        counters.damaged += 1;
-                        self.drop_first();
-                    }
-                }
+            while let Some(frame) = self.next_frame(counters) {
+                found.take(frame, asked);
+            }
+        }
+        // Bytes that only look like a header may hide a shorter answer behind them.
+        if found.count == 0 {
+            while let Some(frame) = self.hidden_frame(counters) {
+                found.take(frame, asked);
             }
         }
         found
     }
 
-    fn drop_first(&mut self) {
-        self.held.copy_within(1..self.length, 0);
-        self.length -= 1;
+    /// The answer at the front of the bytes, if it is whole. Drops bytes that begin no answer.
+    fn next_frame(&mut self, counters: &mut AxisCounters) -> Option<Answer> {
+        // At most as many turns as bytes are held, each of which drops one.
+        while self.length > 0 {
+            let held = &self.held[..self.length];
+            if !begins_answer(held) {
+                self.consume(1);
+                continue;
+            }
+            let whole = Frame::length(held).filter(|length| *length <= self.length)?;
+            match Frame::parse(&held[..whole]).and_then(|frame| Some((frame.address, items(frame)?))) {
+                Some((address, answer)) => {
+                    self.consume(whole);
+                    if address == self.address {
+                        return Some(answer);
+                    }
+                    self.foreign = Some(address);
+                    counters.foreign += 1;
+                }
+                None => {
+                    counters.damaged += 1;
+                    self.consume(1);
+                }
+            }
+        }
+        None
+    }
+
+    /// The first whole answer of the drive behind the front of the bytes. The bytes before it are dropped.
+    fn hidden_frame(&mut self, counters: &mut AxisCounters) -> Option<Answer> {
+        let (start, answer) = (1..self.length).find_map(|start| {
+            let held = &self.held[start..self.length];
+            let length = Frame::length(held).filter(|length| *length <= held.len())?;
+            let frame = Frame::parse(&held[..length]).filter(|frame| frame.address == self.address)?;
+            Some((start + length, items(frame)?))
+        })?;
+        counters.damaged += 1;
+        self.consume(start);
+        Some(answer)
+    }
+
+    fn consume(&mut self, count: usize) {
+        self.held.copy_within(count..self.length, 0);
+        self.length -= count;
     }
 
     fn cut(&mut self, bytes: &[u8], owed: u32, counters: &mut AxisCounters) -> Found {
@@ -162,13 +203,24 @@ impl Stream {
     }
 }
 
-/// Whether bytes may be the beginning of an answer to a request of this driver, from any drive.
-fn begins_answer(bytes: &[u8]) -> bool {
-    const INDEX: u8 = NFV2_ANSWER as u8 - 1;
-    bytes.iter().zip([nfv2::START, INDEX, !INDEX]).all(|(byte, right)| *byte == right)
+impl Found {
+    fn take(&mut self, answer: Answer, asked: Objects) {
+        self.count += 1;
+        if self.answer.is_none_or(|before| before.objects() != asked) || answer.objects() == asked {
+            self.answer = Some(answer);
+        }
+    }
 }
 
-/// Position, current and status, each once and nothing else.
+/// Whether bytes may be the beginning of an answer to a request of this driver, from any drive.
+fn begins_answer(bytes: &[u8]) -> bool {
+    [NFV2_ANSWER, NFV2_SHORT_ANSWER].into_iter().any(|length| {
+        let index = length as u8 - 1;
+        bytes.iter().zip([nfv2::START, index, !index]).all(|(byte, right)| *byte == right)
+    })
+}
+
+/// The position, and current or status or both, each at most once and nothing else.
 fn items(frame: Frame) -> Option<Answer> {
     let (mut position, mut current, mut status) = (None, None, None);
     for item in frame.answers() {
@@ -181,7 +233,8 @@ fn items(frame: Frame) -> Option<Answer> {
             return None;
         }
     }
-    Some(Answer { position: position?, current: current?, status: status? })
+    let answer = Answer { position: position?, current, status };
+    (current.is_some() || status.is_some()).then_some(answer)
 }
 
 fn translated(answer: hi_moxa::Answer) -> Answer {
@@ -198,8 +251,8 @@ fn translated(answer: hi_moxa::Answer) -> Answer {
     let set = bits.into_iter().filter(|(flag, _)| answer.flags.any(*flag));
     Answer {
         position: Increments(answer.position),
-        current: Milliamperes(answer.current),
-        status: Status(set.fold(0, |status, (_, bit)| status | bit)),
+        current: Some(Milliamperes(answer.current)),
+        status: Some(Status(set.fold(0, |status, (_, bit)| status | bit))),
     }
 }
 

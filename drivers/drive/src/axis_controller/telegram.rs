@@ -5,6 +5,7 @@ use serial::hi_moxa::{DriverMode, Parameter, Request};
 use serial::nfv2::{Command, FrameBuilder, Mode};
 
 use super::config::{Control, Protocol};
+use super::objects::Objects;
 
 /// Greatest length: a mode, a flag, a set-point and three reads have fewer bytes.
 const LONGEST: usize = 64;
@@ -33,6 +34,8 @@ pub(super) struct Dialect {
     pub(super) protocol: Protocol,
     pub(super) address: u8,
     pub(super) control: Control,
+    /// Objects that NFv2 telegrams ask for. An answer of the older protocol always has all.
+    objects: Objects,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -57,6 +60,16 @@ impl Telegram {
 }
 
 impl Dialect {
+    /// Telegrams that ask for all objects.
+    pub(super) fn new(protocol: Protocol, address: u8, control: Control) -> Self {
+        Self { protocol, address, control, objects: Objects::All }
+    }
+
+    /// The same with telegrams that ask for `objects`.
+    pub(super) fn asking(self, objects: Objects) -> Self {
+        Self { objects, ..self }
+    }
+
     /// A set-point. `tell` includes the mode, and `unreference` tells the drive to forget its reference.
     ///
     /// One NFv2 frame carries all of them. In the older protocol a flag of every set-point carries the mode. A parameter
@@ -71,7 +84,7 @@ impl Dialect {
                 if tell {
                     frame.command(Command::SetMode(self.mode(mode)));
                 }
-                read(&mut frame)
+                self.read(&mut frame)
             }
             Protocol::HiMoxa if unreference => set(Parameter::Synchronized(false)),
             Protocol::HiMoxa => moxa_setpoint(setpoint, mode == ControllerMode::Index),
@@ -154,7 +167,7 @@ impl Dialect {
     /// A request to set the greatest current, mA.
     pub(super) fn max_current(self, current: i16) -> Telegram {
         match self.protocol {
-            Protocol::Nfv2 => prefixed(read(self.frame(0).command(Command::SetMaxCurrent(current)))),
+            Protocol::Nfv2 => prefixed(self.read(self.frame(0).command(Command::SetMaxCurrent(current)))),
             Protocol::HiMoxa => set(Parameter::MaxCurrent(current)),
         }
     }
@@ -187,6 +200,18 @@ impl Dialect {
         frame
     }
 
+    fn read(self, frame: &mut FrameBuilder) -> Telegram {
+        frame.command(Command::ReadPosition);
+        if self.objects != Objects::Status {
+            frame.command(Command::ReadCurrent);
+        }
+        if self.objects != Objects::Current {
+            frame.command(Command::ReadStatus);
+        }
+        let bytes = frame.finish().expect("a frame of some commands fits 256 bytes");
+        Telegram::NONE.append(bytes)
+    }
+
     fn mode(self, mode: ControllerMode) -> Mode {
         match (mode, self.control) {
             (ControllerMode::Manual, _) => Mode::Manual,
@@ -197,12 +222,6 @@ impl Dialect {
             (ControllerMode::Index, Control::Pwm) => Mode::SyncPwm,
         }
     }
-}
-
-fn read(frame: &mut FrameBuilder) -> Telegram {
-    frame.command(Command::ReadPosition).command(Command::ReadCurrent).command(Command::ReadStatus);
-    let bytes = frame.finish().expect("a frame of some commands fits 256 bytes");
-    Telegram::NONE.append(bytes)
 }
 
 /// A frame behind five zeros, as MRROC++ sends parameters and emergency stops: the zeros end a torn frame that the drive
@@ -225,7 +244,7 @@ mod tests {
     use super::*;
 
     fn dialect(protocol: Protocol, control: Control) -> Dialect {
-        Dialect { protocol, address: 8, control }
+        Dialect::new(protocol, 8, control)
     }
 
     #[test]
@@ -278,6 +297,9 @@ mod tests {
             items(nfv2.follow(ControllerMode::Index, -250, true, true)),
             [0x12, 2, 0x06, 0xFF, 0x1E, 4, 2, 0, 0, 0, 0x10, 1, 0x11, 0x1A, 0, 0x1B, 0, 0x1F, 0]
         );
+        let objects = |objects| items(nfv2.asking(objects).follow(ControllerMode::Drive, 1, false, false));
+        assert_eq!(objects(Objects::Current), [0x12, 2, 1, 0, 0x1A, 0, 0x1B, 0]);
+        assert_eq!(objects(Objects::Status), [0x12, 2, 1, 0, 0x1A, 0, 0x1F, 0]);
         let off = [0x12, 2, 0, 0, 0x10, 1, 0x01, 0x1A, 0, 0x1B, 0, 0x1F, 0];
         assert_eq!(items(nfv2.rest(ControllerMode::Manual, 0, false)), off);
         assert_eq!(items(nfv2.farewell(ControllerMode::Manual, false)), off);

@@ -189,6 +189,37 @@ fn an_index_pulse_in_the_last_cycle_of_a_search_counts() {
 }
 
 #[test]
+fn a_reference_that_no_index_pulse_has_set_is_none() {
+    for protocol in BOTH {
+        // The drive shows a reference, and its counter continues.
+        let mut rig = Rig::on(Drive { velocity: 5, ..Drive::new(protocol, 8) });
+        let seek = AxisCommand::Seek(raw(protocol, 3));
+        rig.run(5, seek);
+        rig.drive().status = Status::SYNCHRONIZED;
+        for _ in 0..8 {
+            assert_ne!(rig.cycle(seek).homing, Homing::Attained, "{protocol:?}");
+        }
+        let fault = rig.fault();
+        assert!(
+            matches!(fault, Some(AxisControllerFault::NotIndexed { position: 1_000.. })),
+            "{protocol:?}: {fault:?}"
+        );
+        assert!(!fault.unwrap().opens_cabinet());
+    }
+}
+
+#[test]
+fn an_index_pulse_at_which_the_counter_hardly_changes_is_one() {
+    for (protocol, index) in BOTH.into_iter().flat_map(|p| [-30, 0, 30].map(|index| (p, index))) {
+        let mut rig = Rig::on(Drive { position: -600, velocity: 20, ..Drive::new(protocol, 8) });
+        rig.run(5, AxisCommand::Seek(raw(protocol, 3)));
+        rig.drive().index = Some(index);
+        let state = rig.run(20, AxisCommand::Seek(raw(protocol, 3)));
+        assert_eq!((state.homing, state.fault), (Homing::Attained, None), "{protocol:?}, {index}");
+    }
+}
+
+#[test]
 fn a_search_that_begins_again_after_an_index_pulse_is_no_restart() {
     for (protocol, pause) in BOTH.into_iter().flat_map(|p| [1, 2, 3].map(|n| (p, n))) {
         let mut rig = Rig::on(Drive { velocity: 20, ..Drive::new(protocol, 8) });

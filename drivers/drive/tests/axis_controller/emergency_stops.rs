@@ -9,7 +9,9 @@ fn missing_answers_are_ridden_through_and_then_stop_the_cabinet() {
         rig.drive().mute = 2;
         let follow = AxisCommand::Follow(raw(protocol, 100));
         let ages: Vec<u32> = (0..5).map(|_| rig.cycle(follow).age).collect();
-        assert_eq!((ages, rig.fault()), (vec![0, 1, 2, 0, 0], None));
+        // In the older protocol, a telegram is left out after the first missing answer.
+        let expected = if protocol == Protocol::Nfv2 { [0, 1, 2, 0, 0] } else { [0, 1, 2, 3, 0] };
+        assert_eq!((&ages[..], rig.fault()), (&expected[..], None));
         rig.drive().mute = 3;
         rig.run(6, follow);
         assert_eq!(rig.fault(), Some(AxisControllerFault::Silent { cycles: 3 }));
