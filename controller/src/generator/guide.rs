@@ -15,7 +15,8 @@ const CELLS: usize = 16;
 const DEGREE: usize = 3;
 /// Number of control points.
 const POINTS: usize = CELLS + DEGREE;
-/// Number of Newton steps from the guide to the pose. The distance of the guide from the pose is some millimetres.
+/// Largest number of Newton steps from the guide to the pose. The distance of the guide from the pose is some
+/// millimetres.
 const STEPS: usize = 4;
 /// Distance that counts as rounding, m and rad.
 const ROUNDING: f64 = 1e-12;
@@ -74,14 +75,15 @@ impl Guide {
     pub(super) fn inverse(&self, arm: &Arm, pose: &Pose, s: f64) -> Result<Axes, KinematicsError> {
         let flange = pose * arm.flange_from_tool().inverse();
         let mut joints = self.at(s);
-        for _ in 0..STEPS {
+        for _ in 0..=STEPS {
             let given = Joints::new(&joints[..arm.axes()]).expect("a robot has no more axes than the servo");
             let here = arm.robot().forward(&given)?;
             let turn = (flange.rotation * here.rotation.inverse()).scaled_axis();
             let way = flange.translation.vector - here.translation.vector;
             let missing = SVector::<f64, COORDINATES>::from_fn(|row, _| if row < 3 { way[row] } else { turn[row - 3] });
             if missing.norm() < ROUNDING {
-                break;
+                // The conversion checks all ranges.
+                return arm.motors(&joints).map(|_| joints);
             }
             let jacobian = arm.robot().jacobian(&given)?;
             let square = jacobian * jacobian.transpose() + SMatrix::identity() * DAMPING;
@@ -91,7 +93,6 @@ impl Guide {
                 joints[axis] += step[axis];
             }
         }
-        // The remaining distance is rounding. The ranges are checked here.
         arm.inverse(pose, &joints)
     }
 }

@@ -4,14 +4,15 @@ use std::time::Duration;
 
 use nalgebra::{Translation3, UnitQuaternion, Vector3};
 
+use super::bounds::Bounds;
 use super::guide::Guide;
 use super::newsmooth::whole_macrosteps;
 use super::plan::Plan;
-use super::progress::{Bounds, Course, Place, Rates};
+use super::progress::{Course, Place, Rates};
 use super::survey::{PLACES, Survey};
 use super::{
     Axes, AxesState, EffectorImage, EffectorState, Generator, GeneratorError, MotionLimits, Next, Pace, Pose, Setpoint,
-    is_limit,
+    SlowedPart, is_limit,
 };
 use crate::robot::Arm;
 
@@ -128,6 +129,8 @@ pub struct StraightLine {
     constant_speed: bool,
     /// Smooth joint positions near the path, if the poses do not determine the joints.
     guide: Option<Guide>,
+    /// The part that joints slow.
+    slowed: Option<SlowedPart>,
     /// Derivatives of the joint positions along the path.
     places: Vec<Place>,
     profile: Profile,
@@ -222,6 +225,7 @@ impl StraightLine {
             remainder: Axes::default(),
             constant_speed: false,
             guide: None,
+            slowed: None,
             places: Vec::with_capacity(PLACES),
             profile: Profile { by_tool: Plan::new(0), by_joints: None, macrosteps: 0, duration: 0.0 },
         })
@@ -383,6 +387,7 @@ impl Generator for StraightLine {
     fn first_step(&mut self, e: &EffectorImage, macrostep: Duration) -> Result<Next<LineMemory>, GeneratorError> {
         let memory = LineMemory { done: 0, joints: self.lay(e)? };
         self.profile.macrosteps = 0;
+        self.slowed = None;
         let Some(tool) = self.tool_rates(&e.commanded.pose) else {
             return Ok(Next::remember(memory));
         };
@@ -402,6 +407,7 @@ impl Generator for StraightLine {
                 profile.macrosteps = whole_macrosteps(duration, macrostep.as_secs_f64())?;
                 profile.duration = f64::from(profile.macrosteps) * macrostep.as_secs_f64();
                 profile.by_joints = Some(course);
+                self.slowed = bounds.slowed();
             }
             None => {
                 let [velocity, acceleration, jerk] = tool;
@@ -416,6 +422,10 @@ impl Generator for StraightLine {
             }
         }
         Ok(Next::remember(memory))
+    }
+
+    fn slowed(&self) -> Option<SlowedPart> {
+        self.slowed
     }
 
     fn terminal(&self, memory: &LineMemory, _: &()) -> bool {

@@ -1,4 +1,4 @@
-//! Durations under rising limits, for every generator with limits and every robot.
+//! Durations under rising limits, for every robot. `MRROC_RANDOM_TIMES` multiplies the number of cases.
 
 use std::f64::consts::FRAC_PI_2;
 use std::sync::Arc;
@@ -13,10 +13,10 @@ use crate::robot::{
 };
 
 /// The servo period.
-const PERIOD: Duration = Duration::from_millis(2);
+pub(super) const PERIOD: Duration = Duration::from_millis(2);
 
 /// All robots with arms.
-fn arms() -> [(&'static str, Arm); 5] {
+pub(super) fn arms() -> [(&'static str, Arm); 5] {
     let arm = |robot: Arc<dyn Robot>| Arm::new(robot, Pose::translation(0.0, 0.0, 0.1));
     [
         ("irb6", arm(Arc::new(Irb6::new(&Irb6Parameters::irb6()).unwrap()))),
@@ -27,8 +27,12 @@ fn arms() -> [(&'static str, Arm); 5] {
     ]
 }
 
+fn times() -> u64 {
+    std::env::var("MRROC_RANDOM_TIMES").map_or(1, |times| times.parse().expect("a number"))
+}
+
 /// Random joints in the inner part of all ranges, and their image.
-fn standing(arm: &Arm, random: &mut Random) -> Option<(Axes, EffectorImage)> {
+pub(super) fn standing(arm: &Arm, random: &mut Random) -> Option<(Axes, EffectorImage)> {
     let mut joints = Axes::default();
     for (joint, limits) in joints.iter_mut().zip(arm.robot().joint_limits()) {
         let (low, high) = if limits.is_continuous() { (-2.0, 2.0) } else { (limits.low, limits.high) };
@@ -44,7 +48,7 @@ fn standing(arm: &Arm, random: &mut Random) -> Option<(Axes, EffectorImage)> {
 }
 
 /// A pose up to 0.3 m and 0.5 rad from another, or without a turn for an arm of five axes.
-fn beside(arm: &Arm, from: &Pose, random: &mut Random) -> Pose {
+pub(super) fn beside(arm: &Arm, from: &Pose, random: &mut Random) -> Pose {
     let mut vector = |most: f64| Vector3::from_fn(|_, _| random.within(-most, most));
     let (by, turn) = (vector(0.17), vector(if arm.axes() == 5 { 0.0 } else { 0.3 }));
     let rotation = UnitQuaternion::from_scaled_axis(turn) * from.rotation;
@@ -53,9 +57,9 @@ fn beside(arm: &Arm, from: &Pose, random: &mut Random) -> Pose {
 
 /// Limits of tool and joints that rise at random.
 #[derive(Clone, Copy, Debug)]
-struct Limits {
-    tool: [f64; 6],
-    joints: MotionLimits,
+pub(super) struct Limits {
+    pub(super) tool: [f64; 6],
+    pub(super) joints: MotionLimits,
 }
 
 impl Limits {
@@ -89,7 +93,7 @@ impl Limits {
         }
     }
 
-    fn line(&self) -> LineLimits {
+    pub(super) fn line(&self) -> LineLimits {
         let [max_velocity, max_acceleration, max_jerk, w, b, k] = self.tool;
         LineLimits {
             max_velocity,
@@ -139,7 +143,7 @@ fn check(name: &str, seed: u64, mut motion: impl FnMut(&Limits) -> Result<u32, G
 fn no_line_of_any_robot_takes_longer_or_is_refused_when_a_limit_rises() {
     for (name, arm) in arms() {
         let mut lines = 0;
-        for seed in 0..40 {
+        for seed in 0..40 * times() {
             let mut random = Random(seed);
             let Some((_, image)) = standing(&arm, &mut random) else { continue };
             let target = beside(&arm, &image.commanded.pose, &mut random);
@@ -158,7 +162,7 @@ fn no_line_of_any_robot_takes_longer_or_is_refused_when_a_limit_rises() {
 fn no_motion_of_joints_takes_longer_or_is_refused_when_a_limit_rises() {
     for (name, arm) in arms() {
         let axes = arm.axes();
-        for seed in 0..8 {
+        for seed in 0..8 * times() {
             let mut random = Random(seed);
             let Some((_, image)) = standing(&arm, &mut random) else { continue };
             let poses: Vec<Axes> = (0..1 + random.below(4)).map(|_| random.axes(-1.5, 1.5)).collect();
@@ -181,7 +185,7 @@ fn no_motion_of_joints_takes_longer_or_is_refused_when_a_limit_rises() {
 }
 
 /// Limits of the tool that no arm reaches, but for the jerk of the joints.
-const HIGH: Limits = Limits {
+pub(super) const HIGH: Limits = Limits {
     tool: [100.0, 1e3, 2e4, 500.0, 5e3, 1e5],
     joints: MotionLimits {
         max_velocity: [1.5; MAX_AXES],

@@ -7,6 +7,7 @@ mod feed;
 mod limits;
 mod line;
 mod planned_start;
+mod planning_cost;
 mod polynomial;
 mod time_optimal;
 mod transparent;
