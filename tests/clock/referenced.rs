@@ -40,6 +40,7 @@ fn line() -> Instruction {
         quaternion: None,
         velocity: 0.2,
         acceleration: 0.5,
+        constant_speed: false,
     })
 }
 

@@ -48,6 +48,7 @@ def parts(only, seed):
         soak("lab", 4),
         tests("seeds", "mrroc-tests/system", only or "random::", MRROC_RANDOM_SEED=str(seed), MRROC_RANDOM_TIMES="48"),
         tests("scenes", "mrroc-hil", only or "random_scenes", MRROC_RANDOM_SEED=str(seed), MRROC_RANDOM_TIMES="100"),
+        tests("limits", "mrroc-controller", only or "when_a_limit_rises", MRROC_RANDOM_TIMES="25"),
         Part("tries", "test", tries, needs=["build"], processors=2),
         Part("features", "test", *features, lock="target", processors=2),
         Part("fuzz", "test", Command("tests/fuzz", FUZZ_SECONDS, limit=14_400), processors=2),

@@ -71,6 +71,7 @@ mod serial_refusals;
 mod service;
 mod signals;
 mod slow_cells;
+mod slowed_lines;
 mod soak;
 mod spikes;
 mod statics;

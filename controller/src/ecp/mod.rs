@@ -41,7 +41,7 @@ use std::{collections::VecDeque, num::NonZeroU64, time::Duration};
 use can::Instant;
 use servo::{EffectorLink, Order, Phase, ServoReport, Snapshot};
 
-use crate::generator::{Execution, Pace};
+use crate::generator::{Execution, Pace, SlowedPart};
 use crate::robot::Arm;
 use crate::sensor::Sensors;
 
@@ -176,6 +176,8 @@ pub struct Ecp {
     barrier_sent: Option<u64>,
     /// Number of the macrostep that the present fault of the servo ended; `None` if the effector stood.
     fault_macrostep: Option<u64>,
+    /// The part of the present or last motion that joints slow, until it is taken.
+    slowed: Option<SlowedPart>,
 }
 
 impl Ecp {
@@ -219,6 +221,7 @@ impl Ecp {
             touched: false,
             barrier_sent: None,
             fault_macrostep: None,
+            slowed: None,
         }
     }
 

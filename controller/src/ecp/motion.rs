@@ -12,7 +12,9 @@ use super::around::Around;
 use super::task::Instruction;
 use super::{Activity, BURST, ChartPhase, Ecp, EcpError, ReplaceRefused, STILL, StepEvent};
 use crate::coordination::{LinkError, MemberLink, Turn};
-use crate::generator::{Axes, AxesState, EffectorCommand, Execution, Generator, GeneratorError, Pace, Run, Step};
+use crate::generator::{
+    Axes, AxesState, EffectorCommand, Execution, Generator, GeneratorError, Pace, Run, SlowedPart, Step,
+};
 use crate::sensor::{Prompt, Sensors};
 
 /// Most bursts of short macrosteps in one poll.
@@ -39,6 +41,11 @@ impl Ecp {
         self.receive_from_task();
         self.replacement = Some(Box::new(Run::new(generator)));
         Ok(())
+    }
+
+    /// Takes the part of the present or last motion that joints slow.
+    pub fn take_slowed(&mut self) -> Option<SlowedPart> {
+        self.slowed.take()
     }
 
     /// Whether the cycle law ended the present or last motion at a touch ([`StopCause::Touched`]). Such a motion ends with
@@ -124,6 +131,7 @@ impl Ecp {
         let Activity::Awaiting { run, since } = replace(&mut self.activity, Activity::Idle) else {
             return None;
         };
+        self.slowed = None;
         self.planning.begin(run, macrostep);
         self.activity = Activity::Planning { since };
         None
@@ -181,6 +189,7 @@ impl Ecp {
         self.effector.measured = self.latest();
         let cycle = self.effector.measured.at;
         if first.is_ok() {
+            self.slowed = run.slowed();
             self.chart = Some(ChartPhase::NextStep);
         }
         let mut around = Around {

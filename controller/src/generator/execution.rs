@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use servo::LawParameters;
 
-use super::{Generator, GeneratorError, Images, Next, Outputs, Pace, Partners, Setpoint};
+use super::{Generator, GeneratorError, Images, Next, Outputs, Pace, Partners, Setpoint, SlowedPart};
 use crate::ecp::StepEvent;
 
 /// Functions of one instruction of an agent, of a subcontroller or of the coordinator.
@@ -109,6 +109,9 @@ pub trait Execution {
     /// Computes the first step: the first operational block of the chart. May run on another thread.
     fn plan(&mut self, macrostep: Duration) -> Result<(), GeneratorError>;
 
+    /// The part of the motion that joints slow, once the first step is computed.
+    fn slowed(&self) -> Option<SlowedPart>;
+
     /// Delivers the results of the first step.
     fn commit(&mut self, partners: &mut dyn Partners) -> Result<Step, GeneratorError>;
 
@@ -200,6 +203,10 @@ impl<G: Generator> Execution for Run<G> {
             self.planned = Some(self.chart.first_step(&images, macrostep)?);
         }
         Ok(())
+    }
+
+    fn slowed(&self) -> Option<SlowedPart> {
+        self.chart.functions.0.slowed()
     }
 
     fn commit(&mut self, partners: &mut dyn Partners) -> Result<Step, GeneratorError> {

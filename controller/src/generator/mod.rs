@@ -57,12 +57,14 @@
 //!
 //! Read [`Generator`] first, then [`Wait`] as the smallest generator and [`Newsmooth`] as a planned generator.
 
+mod bounds;
 mod constant_velocity;
 mod contour;
 pub(crate) mod digest;
 mod error;
 mod execution;
 mod feed;
+mod guide;
 mod image;
 mod images;
 mod jerk_limited;
@@ -75,7 +77,10 @@ mod path_timing;
 mod plan;
 mod polynomial;
 mod profile;
+mod progress;
 mod selection;
+mod slowed;
+mod survey;
 #[cfg(test)]
 mod tests;
 mod time_optimal;
@@ -108,6 +113,7 @@ pub use outputs::{Answer, Commands, Outputs, Tell};
 pub use path_timing::{EndSpeeds, PathTiming, TimingError};
 pub use polynomial::Polynomial;
 pub use selection::{Selected, Selection, SelectionMemory};
+pub use slowed::{JointLimit, SlowedPart};
 pub use time_optimal::TimeOptimal;
 pub use transparent::Transparent;
 pub use under_law::UnderLaw;
@@ -205,6 +211,11 @@ pub trait Generator: Send + Sync + 'static {
         images: &Self::First,
         macrostep: Duration,
     ) -> Result<Next<Self::Memory, Self::Out>, GeneratorError>;
+
+    /// The part of the motion that joints slow, after the first step. The report of a run names this part.
+    fn slowed(&self) -> Option<SlowedPart> {
+        None
+    }
 
     /// `fT`: whether the instruction ends. Evaluated on each new snapshot before [`next_step`](Self::next_step).
     fn terminal(&self, memory: &Self::Memory, images: &Self::Every) -> bool;

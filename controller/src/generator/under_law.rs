@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use servo::LawParameters;
 
-use super::{Generator, GeneratorError, Next, Pace};
+use super::{Generator, GeneratorError, Next, Pace, SlowedPart};
 
 /// The generator `G` under the cycle law of its effector, with the same parameters in all macrosteps.
 ///
@@ -59,6 +59,10 @@ impl<G: Generator> Generator for UnderLaw<G> {
         macrostep: Duration,
     ) -> Result<Next<G::Memory, G::Out>, GeneratorError> {
         Ok(self.generator.first_step(images, macrostep)?.under(self.law))
+    }
+
+    fn slowed(&self) -> Option<SlowedPart> {
+        self.generator.slowed()
     }
 
     fn terminal(&self, memory: &G::Memory, images: &G::Every) -> bool {

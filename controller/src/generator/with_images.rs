@@ -3,7 +3,7 @@
 use std::marker::PhantomData;
 use std::time::Duration;
 
-use super::{A, Bundle, EffectorImage, Generator, GeneratorError, Images, Message, Next, Pace, V};
+use super::{A, Bundle, EffectorImage, Generator, GeneratorError, Images, Message, Next, Pace, SlowedPart, V};
 
 /// A set of images that includes the set `Part`.
 ///
@@ -101,6 +101,10 @@ where
 
     fn first_step(&mut self, images: &F, macrostep: Duration) -> Result<Next<G::Memory, G::Out>, GeneratorError> {
         self.generator.first_step(&images.part(), macrostep)
+    }
+
+    fn slowed(&self) -> Option<SlowedPart> {
+        self.generator.slowed()
     }
 
     fn terminal(&self, memory: &G::Memory, images: &I) -> bool {

@@ -553,6 +553,10 @@ pub struct LineInstruction {
     /// Greatest tool acceleration, m/s².
     #[serde(default = "defaults::hundredths::<50>")]
     pub acceleration: f64,
+    /// Whether the speed is constant between acceleration and braking, for example for engraving. A line that joints
+    /// limit is then slower as a whole, not only where a joint is fast.
+    #[serde(default)]
+    pub constant_speed: bool,
 }
 
 impl Cell {

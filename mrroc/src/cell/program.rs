@@ -171,6 +171,7 @@ impl Robot {
             Some(start) => generator.beginning_at(start),
             None => generator,
         };
+        let generator = if line.constant_speed { generator.at_constant_speed() } else { generator };
         Ok((task.run(generator), end))
     }
 

@@ -7,6 +7,7 @@ mod emergency_contact;
 mod families;
 mod force;
 mod io;
+mod lines;
 mod names;
 mod ranging;
 mod scene;

@@ -11,6 +11,7 @@ mod last_cycles;
 mod page;
 #[cfg(feature = "pages")]
 mod plots;
+pub(crate) mod slowed;
 mod text;
 mod tool;
 
@@ -31,6 +32,7 @@ pub use fault::{ErrorPlace, FaultReport};
 pub use last_cycles::{CycleState, LastCycles};
 #[cfg(feature = "pages")]
 pub(crate) use page::page;
+pub use slowed::SlowedReport;
 pub(crate) use tool::Tracks;
 pub use tool::{Deviation, RobotReport, Subject};
 
@@ -50,6 +52,8 @@ pub(crate) struct RunEnd {
     pub faults: Vec<FaultReport>,
     /// Errors that the task handled.
     pub recovered: Vec<FaultReport>,
+    /// Motions that joints slowed, and the number of further ones.
+    pub slowed: (Vec<slowed::SlowedMotion>, u64),
     /// Whether the task received the fault that still stops each robot.
     pub received: Vec<bool>,
     pub wire: Vec<WireReport>,
@@ -84,6 +88,10 @@ pub struct RunReport {
     pub incomplete_files: Vec<IncompleteFile>,
     /// Figures that the task reported, by name.
     pub figures: BTreeMap<String, f64>,
+    /// Motions of which a part was slower than the limits of the tool permit, because of the limits of joints.
+    pub slowed: Vec<SlowedReport>,
+    /// Further slowed motions, which are counted alone.
+    pub more_slowed: u64,
     /// Axes that oscillated about their set-points.
     pub oscillations: Vec<OscillationReport>,
     /// Errors that drives reported without a fault.
@@ -190,6 +198,8 @@ impl RunReport {
             wire: take(&mut end.wire),
             faults: take(&mut end.faults),
             recovered: take(&mut end.recovered),
+            slowed: end.slowed.0.iter().map(|motion| SlowedReport::of(file, motion)).collect(),
+            more_slowed: end.slowed.1,
             incomplete_files: take(&mut end.incomplete),
             figures: BTreeMap::new(),
             idle_faults: Vec::new(),

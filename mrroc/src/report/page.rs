@@ -37,6 +37,10 @@ pub(crate) fn page(report: &RunReport, tracks: &Tracks, timing: &Timing) -> Resu
     list(&mut page, "Recovered errors", &report.recovered);
     report.faults.iter().chain(&report.recovered).for_each(|fault| last_cycles(&mut page, fault));
     list(&mut page, "Incomplete files", &report.incomplete_files);
+    list(&mut page, "Motions slowed by joints", &report.slowed);
+    if report.more_slowed > 0 {
+        paragraph(&mut page, format_args!("{} further motions were slowed.", report.more_slowed));
+    }
     list(&mut page, "Oscillations", &report.oscillations);
     list(&mut page, "Warnings", &report.warnings);
     if report.more_warnings > 0 {

@@ -107,6 +107,12 @@ impl fmt::Display for RunReport {
         for denied in &self.denied {
             writeln!(f, "denied: {denied}")?;
         }
+        for slowed in &self.slowed {
+            writeln!(f, "slowed: {slowed}")?;
+        }
+        if self.more_slowed > 0 {
+            writeln!(f, "slowed: {} further motions", self.more_slowed)?;
+        }
         for oscillation in &self.oscillations {
             writeln!(f, "warning: {oscillation}")?;
         }

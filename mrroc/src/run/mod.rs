@@ -313,6 +313,7 @@ fn not_up(
             denied: Vec::new(),
             faults: Vec::new(),
             recovered: Vec::new(),
+            slowed: Default::default(),
             received: Vec::new(),
             wire: Vec::new(),
             cell_time,
@@ -394,7 +395,7 @@ fn in_lockstep(
         },
     );
     wire.look();
-    let TaskErrors { mut faults, recovered, received } = carrying.finish();
+    let TaskErrors { mut faults, recovered, received, slowed } = carrying.finish();
     logs.faulted.store(!faults.is_empty(), Ordering::Relaxed);
     let Written { incomplete, tracks, .. } = logs.finish();
     if interrupted.load(Ordering::Relaxed) {
@@ -412,6 +413,7 @@ fn in_lockstep(
         denied: Vec::new(),
         faults,
         recovered,
+        slowed,
         received,
         wire: wire.reports(),
         cell_time: end.since(Instant::ZERO),
@@ -509,7 +511,7 @@ fn by_the_clock(
             }
         }
     };
-    let TaskErrors { mut faults, recovered, received } = match hung {
+    let TaskErrors { mut faults, recovered, received, slowed } = match hung {
         // The crew has the message of a panic.
         None => controller.join().unwrap_or_default(),
         // The thread is left behind.
@@ -561,6 +563,7 @@ fn by_the_clock(
         denied: denied.iter().map(ToString::to_string).collect(),
         faults,
         recovered,
+        slowed,
         received,
         wire: listening.finish(LAST_LOOK).unwrap_or_default(),
         cell_time,

@@ -21,6 +21,7 @@ use super::worker::Worker;
 use crate::cell::CellFile;
 use crate::rehearsal::{Course, Rehearsed, homes, rehearse_again};
 use crate::report::FaultReport;
+use crate::report::slowed::{self, SlowedMotion};
 use crate::setup;
 use crate::tasks::{Equipment, Figures, Program, TaskError};
 
@@ -58,6 +59,8 @@ pub(super) struct TaskErrors {
     pub(super) recovered: Vec<FaultReport>,
     /// Whether the task received the fault that still stops each robot.
     pub(super) received: Vec<bool>,
+    /// Motions that joints slowed, and the number of further ones.
+    pub(super) slowed: (Vec<SlowedMotion>, u64),
 }
 
 /// Progress of one robot.
@@ -192,6 +195,7 @@ impl RunningTask {
             refusals: Vec::new(),
             began: None,
             noticed,
+            slowed: (Vec::with_capacity(slowed::MOST), 0),
         }
     }
 }
@@ -216,6 +220,8 @@ pub(super) struct Carrying {
     began: Option<Instant>,
     /// Time since the first poll, s, of the fault of each I/O node, force sensor and ultrasonic matrix, in this order.
     noticed: Vec<Option<f64>>,
+    /// Motions that joints slowed, and the number of further ones.
+    slowed: (Vec<SlowedMotion>, u64),
 }
 
 /// A robot of a task under way.
@@ -283,7 +289,8 @@ impl Carrying {
     pub(super) fn poll(&mut self, now: Instant, mut tell: impl FnMut(Progress)) -> bool {
         self.judge();
         self.notice(now);
-        let Self { executor, robots, .. } = self;
+        let Self { executor, robots, slowed: (listed, more), began, .. } = self;
+        let time_s = began.map_or(0.0, |began| now.since(began).as_secs_f64());
         let expected = self.instructions;
         let before: Vec<_> = robots.iter().map(|it| (it.phase, it.ended)).collect();
         let mut waiting = Vec::new();
@@ -292,6 +299,11 @@ impl Carrying {
                 let it = &mut robots[robot];
                 it.enter(ecp.status().phase);
                 it.ended += 1;
+                match ecp.take_slowed() {
+                    Some(part) if listed.len() < slowed::MOST => listed.push(SlowedMotion { robot, time_s, part }),
+                    Some(_) => *more += 1,
+                    None => {}
+                }
                 if it.released {
                     it.expected = Some(ecp.latest().commanded);
                 }
@@ -371,7 +383,7 @@ impl Carrying {
             let list = if still_stops { &mut faults } else { &mut recovered };
             list.push(describe(file, error));
         }
-        TaskErrors { faults, recovered, received }
+        TaskErrors { faults, recovered, received, slowed: self.slowed }
     }
 
     /// Requests a rehearsal for a robot, which is held.

@@ -28,6 +28,7 @@ fn one_line(example: &str, draw: &mut Draw, position: [f64; 3]) -> String {
         quaternion: None,
         velocity: draw.within(0.1, 0.3),
         acceleration: 0.5,
+        constant_speed: false,
     })];
     toml::to_string(&cell).expect("a cell is TOML")
 }
@@ -198,6 +199,7 @@ fn an_arm_that_is_homed_at_the_end_of_its_range_leaves_it_by_every_motion() {
             quaternion: None,
             velocity: 0.2,
             acceleration: 0.5,
+            constant_speed: false,
         });
         let joints = |generator| {
             Instruction::Joints(Joints {

@@ -135,6 +135,7 @@ fn line(draw: &mut Draw, arm: &Arm, here: &mut Axes) -> Instruction {
         quaternion: turned.then(|| kept(&pose)),
         velocity: draw.within(0.05, 0.5),
         acceleration: draw.within(0.2, 2.0),
+        constant_speed: false,
     })
 }
 

@@ -101,6 +101,7 @@ fn on_can(cell: &mut Cell) {
         quaternion: Some([rotation.w, rotation.i, rotation.j, rotation.k]),
         velocity: 0.2,
         acceleration: 1.0,
+        constant_speed: true,
     }));
     let payload = EmulatedPayload { at_s: 0.5, mass: 1.0, centre: [0.0, 0.0, 0.1] };
     robot.emulated_payload = vec![payload, EmulatedPayload { mass: 0.0, ..payload }];
