@@ -6,7 +6,7 @@ use nalgebra::{Isometry3, Matrix3};
 use serde::{Deserialize, Serialize};
 
 use super::{
-    ArmParameters, Jacobian, Joints, KinematicsError, Limits, Link, Mass, Motors, ParameterError, Robot,
+    ArmParameters, Jacobian, Joints, KinematicsError, Limits, Link, Mass, MotorRating, Motors, ParameterError, Robot,
     RobotParameters, Solutions,
     arm::{self, Facing, Posture, ROLL},
     drive_train::DriveTrain,
@@ -156,5 +156,9 @@ impl RobotParameters for Irb6Parameters {
                 Mass::new(1.35, [0.0, 0.0, 0.15]),
             ]
         }
+    }
+
+    fn motors(&self) -> &'static [MotorRating] {
+        &MotorRating::IRP6[..AXES]
     }
 }

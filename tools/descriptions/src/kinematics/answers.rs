@@ -42,7 +42,7 @@ enum Values {
         motor_angles: Option<Vec<f64>>,
         /// Position of each joint, rad or m, by its link's name in the URDF of the robot.
         #[serde(skip_serializing_if = "BTreeMap::is_empty")]
-        links: BTreeMap<&'static str, f64>,
+        links: BTreeMap<String, f64>,
     },
     Inverse {
         /// Joint positions of each solution, rad or m, the nearest to `--near` first.
@@ -93,8 +93,12 @@ impl Answer {
             motors
         });
         let links = machine.robot.links();
-        let position =
-            |link: &Link| (link.name, joints.iter().zip(link.coupling).map(|(joint, factor)| factor * joint).sum());
+        let position = |link: &Link| {
+            (
+                format!("{}{}", machine.prefix, link.name),
+                joints.iter().zip(link.coupling).map(|(joint, factor)| factor * joint).sum(),
+            )
+        };
         let q = pose.rotation;
         let values = Values::Forward {
             joints: joints.to_vec(),
