@@ -113,6 +113,7 @@ pub mod prelude {
         ForceError, ForceReading, ForceTorque, GateError, GateReading, JogCommand, JogHandle, JogPanel, JogReading,
         LightGates, Marked, Operator, Passage, Question, Reaction, Shell, SightError, ViewedPlane, VirtualSensor,
     };
+    pub use controller::trajectory_file::JointConvention;
     pub use drive::cia401::InputImage;
 
     pub use crate::bench::BenchKind;

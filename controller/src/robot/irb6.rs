@@ -132,6 +132,10 @@ impl Robot for Irb6 {
     fn links(&self) -> Vec<Link> {
         self.parameters.arm.links(self.joint_limits())
     }
+
+    fn lower_arm(&self) -> Option<usize> {
+        Some(arm::SHOULDER)
+    }
 }
 
 impl RobotParameters for Irb6Parameters {

@@ -184,6 +184,10 @@ impl Robot for Irp6 {
         links.push(Link::turning("hand", across, &[(HAND, 1.0)], limits));
         links
     }
+
+    fn lower_arm(&self) -> Option<usize> {
+        Some(arm::SHOULDER)
+    }
 }
 
 impl Mass {

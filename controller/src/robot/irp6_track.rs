@@ -267,6 +267,10 @@ impl Robot for Irp6Track {
         links.insert(0, track);
         links
     }
+
+    fn lower_arm(&self) -> Option<usize> {
+        self.robot.lower_arm().map(|axis| axis + 1)
+    }
 }
 
 fn parted<S>(all: &super::Vector<S>) -> Result<(f64, super::Vector<S>), KinematicsError> {

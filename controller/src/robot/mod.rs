@@ -164,6 +164,12 @@ pub trait Robot: fmt::Debug + Send + Sync {
     fn links(&self) -> Vec<Link> {
         Vec::new()
     }
+
+    /// Index of the lower arm's joint, if the joints of lower arm, upper arm and wrist pitch follow each other and are
+    /// inclinations to the horizontal, as those of the IRp-6. `None` for any other robot.
+    fn lower_arm(&self) -> Option<usize> {
+        None
+    }
 }
 
 /// A closed range of positions.

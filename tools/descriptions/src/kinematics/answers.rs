@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::fmt;
 
 use controller::robot::{Joints, KinematicsError, Limits, Link, Singularity, Solutions, Space};
+use controller::trajectory_file::TrajectoryFile;
 use serde::Serialize;
 
 use super::Machine;
@@ -52,6 +53,10 @@ enum Values {
         /// Three rows for linear and three for angular velocity; one column per joint.
         jacobian: [Vec<f64>; 6],
         singularity: Singularity,
+    },
+    Converted {
+        /// The text of the trajectory file.
+        trajectory: String,
     },
     Limits {
         joints: Vec<Limits>,
@@ -129,6 +134,11 @@ impl Answer {
         Ok(Self::of(machine, values))
     }
 
+    /// A converted trajectory file.
+    pub(super) fn converted(machine: &Machine, file: &TrajectoryFile) -> Self {
+        Self::of(machine, Values::Converted { trajectory: file.to_string() })
+    }
+
     /// Permitted ranges of joints and motors.
     pub(super) fn limits(machine: &Machine) -> Self {
         let angles = machine.robot.motor_limits().to_vec();
@@ -176,6 +186,8 @@ impl fmt::Display for Answer {
                 }
                 writeln!(f, "smallest singular value {margin:.9}, of axis {axis}")?;
             }
+            // Notes would be lines of the file.
+            Values::Converted { trajectory } => return f.write_str(trajectory),
             Values::Limits { joints, motors, motor_angles } => {
                 ranges(f, "joint", "", joints)?;
                 if motor_angles.is_some() {

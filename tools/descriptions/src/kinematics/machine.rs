@@ -6,7 +6,7 @@ use std::sync::Arc;
 use anyhow::{Context as _, anyhow, ensure};
 use clap::Args;
 use controller::robot::{
-    Arm, Joints, Limits, Mass, MotorRating, Motors, Rnt, RntParameters, Robot, RobotParameters as _, Vector,
+    Arm, Joints, Limits, Mass, MotorRating, Motors, Pose, Rnt, RntParameters, Robot, RobotParameters as _, Vector,
 };
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
 
@@ -47,6 +47,8 @@ pub struct Machine {
     pub(crate) motors: Vec<MotorRating>,
     /// Where the velocities and efforts come from.
     pub(crate) source: &'static str,
+    /// Place of the tool in the frame of the flange, m.
+    pub(crate) tool: [f64; 3],
 }
 
 impl Machine {
@@ -76,6 +78,7 @@ impl Machine {
             load: Mass::default(),
             motors: mrroc::each_robot!(parameters, it => it.motors()).to_vec(),
             source: "Velocities and efforts are those of the model's motors (nominal).",
+            tool: [0.0; 3],
             parameters,
         })
     }
@@ -90,8 +93,15 @@ impl Machine {
             motors: robot.axis.iter().map(Axis::motor_rating).collect(),
             source: "Velocities and efforts are those of the cell: max_velocity, and rated_torque of a drive (or its \
                      object 0x6072) or max_current of an axis controller.",
+            tool: robot.tool,
             ..self
         }
+    }
+
+    /// The robot with a tool at this place of the flange; the tool of the cell where absent.
+    pub(super) fn arm(&self, tool: Option<[f64; 3]>) -> Arm {
+        let [x, y, z] = tool.unwrap_or(self.tool);
+        Arm::new(Arc::clone(&self.robot), Pose::translation(x, y, z))
     }
 
     /// Joint positions from a list of motor positions. The first three motors of the RNT are given by their leg
@@ -159,7 +169,7 @@ fn list(option: &str, text: &str) -> anyhow::Result<Vec<f64>> {
     text.split(',').map(number).collect()
 }
 
-fn exactly<const N: usize>(option: &str, text: &str, form: &str) -> anyhow::Result<[f64; N]> {
+pub(super) fn exactly<const N: usize>(option: &str, text: &str, form: &str) -> anyhow::Result<[f64; N]> {
     let numbers = list(option, text)?;
     let count = numbers.len();
     numbers.try_into().map_err(|_| anyhow!("{option}: {count} numbers, not the {N} of {form}"))
