@@ -34,6 +34,7 @@ pub mod cell;
 #[cfg(feature = "pages")]
 pub mod charts;
 pub mod check;
+mod frame_order;
 pub mod guardian;
 pub mod input;
 mod inputs;
