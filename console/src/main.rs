@@ -21,7 +21,10 @@ use mrroc::cell::{Cell, CellFile};
 use mrroc::outputs::Measured;
 use mrroc::recording::{self, ReplayOptions};
 use mrroc::scenario::Scenario;
-use mrroc::{signals, streams, tasks::CarriedTask};
+use mrroc::{
+    signals, streams,
+    tasks::{Program, TaskOptions},
+};
 use serde::Serialize;
 
 /// Exit status in the help text: scripts may rely on it.
@@ -42,9 +45,8 @@ enum Command {
     Check {
         /// The cell file.
         cell: PathBuf,
-        /// The task to check.
-        #[arg(long, value_enum, default_value_t)]
-        task: CarriedTask,
+        #[command(flatten)]
+        task: TaskOptions,
         /// Print one JSON object.
         #[arg(long)]
         json: bool,
@@ -55,9 +57,8 @@ enum Command {
     Run {
         /// The cell file.
         cell: PathBuf,
-        /// The task of the robots.
-        #[arg(long, value_enum, default_value_t)]
-        task: CarriedTask,
+        #[command(flatten)]
+        task: TaskOptions,
         #[command(flatten)]
         options: mrroc::ProgramOptions,
     },
@@ -184,10 +185,11 @@ fn main() -> ExitCode {
 
 fn answer(command: Command) -> anyhow::Result<ExitCode> {
     match command {
-        Command::Check { cell, task, json } => check(&cell, task, json),
+        Command::Check { cell, task, json } => check(&cell, &task.program()?, json),
         Command::Doctor(options) => host::doctor::doctor(&options),
         Command::Run { cell, task, options } => {
-            CellFile::read(&cell).and_then(|file| mrroc::run_program(&file, &options, &task.program()))
+            let program = task.program()?;
+            CellFile::read(&cell).and_then(|file| mrroc::run_program(&file, &options, &program))
         }
         Command::Stop(options) => service::stop::stop(&options),
         Command::Guard { socket } => mrroc::guardian::separate::guard(&socket).map(|never| match never {}),
@@ -216,8 +218,8 @@ fn answer(command: Command) -> anyhow::Result<ExitCode> {
     }
 }
 
-fn check(cell: &Path, task: CarriedTask, json: bool) -> anyhow::Result<ExitCode> {
-    let checked = mrroc::check(&CellFile::read(cell)?, &task.program())?;
+fn check(cell: &Path, program: &Program, json: bool) -> anyhow::Result<ExitCode> {
+    let checked = mrroc::check(&CellFile::read(cell)?, program)?;
     for problem in &checked.problems {
         streams::warn(format_args!(
             "mrroc: {problem}; only for robots that are wired otherwise than the emulated ones"

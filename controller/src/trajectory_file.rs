@@ -13,6 +13,12 @@
 //! Each row has one column per axis, separated by spaces, tabs or commas. Empty lines are ignored. [`TrajectoryFile`]
 //! reads and writes the format, and makes the [`Newsmooth`] motion of MOTOR and JOINT files.
 //!
+//! JOINT files of IRp-6 and IRb-6 have joints of one of two [conventions](JointConvention). A line `joints =
+//! inclination` or `joints = relative` behind the poses tells which. MRROC++ ignores this line. Files of the format
+//! before September 2010 have no line ABSOLUTE or RELATIVE, and their joints are inclinations. The oldest of these
+//! files have five rows per pose: velocities at start and end come first, and are not used. [`read`](TrajectoryFile::read)
+//! tells by [notes](TrajectoryNote) what it left out.
+//!
 //! ```
 //! use mrroc_controller::trajectory_file::{Coordinates, TrajectoryFile};
 //!
@@ -22,6 +28,9 @@
 //! # Ok::<(), mrroc_controller::trajectory_file::TrajectoryFileError>(())
 //! ```
 
+mod convention;
+mod conversion;
+mod reading;
 #[cfg(test)]
 mod tests;
 
@@ -31,7 +40,10 @@ use servo::MAX_AXES;
 use thiserror::Error;
 
 use crate::generator::{Axes, GeneratorError, MotionLimits, Newsmooth, SmoothPose};
-use crate::robot::Space;
+use crate::robot::{KinematicsError, Space};
+
+pub use convention::{JointConvention, Readings};
+pub use reading::TrajectoryNote;
 
 /// Greatest number of poses of a file.
 pub const MOST_POSES: usize = 100_000;
@@ -126,17 +138,22 @@ pub enum TrajectoryFileProblem {
     Coordinates,
     #[error("must be the number of poses, 1 to {}", MOST_POSES)]
     Count,
-    #[error("must be ABSOLUTE or RELATIVE; add the line to a file of the older format")]
+    #[error("must be ABSOLUTE or RELATIVE, or the first row of a file of the format before 2010")]
     MotionType,
+    #[error(
+        "a row of time and eight coordinates: a teach-in file of MRROC++; replace each time by two rows, the \
+         fractions of velocity and acceleration"
+    )]
+    TeachIn,
+    #[error("must be joints = {} or joints = {}", JointConvention::Inclination, JointConvention::Relative)]
+    Joints,
     #[error("the file ends before its {row} of pose {pose}: correct the number of poses in line 2, or add the rows")]
     Ended { pose: usize, row: PoseRow },
     #[error("the file ends before its first three lines: coordinates, number of poses, ABSOLUTE or RELATIVE")]
     NoHead,
-    #[error("the {poses} poses of line 2 end before this line: correct the number, or remove the rows")]
-    Excess { poses: usize },
     #[error("{columns} columns, supported are 1 to {max}")]
     TooWide { columns: usize, max: usize },
-    #[error("{columns} columns, and the row of the first pose has {expected}")]
+    #[error("{columns} columns, and the coordinates of the first pose have {expected}")]
     Ragged { columns: usize, expected: usize },
     #[error("column {column} must be a finite number")]
     Number { column: usize },
@@ -144,14 +161,23 @@ pub enum TrajectoryFileProblem {
     Fraction { column: usize, value: f64 },
 }
 
-/// A trajectory file does not fit a robot.
-#[derive(Clone, Copy, Debug, PartialEq, Error)]
+/// A trajectory file does not fit a robot. Poses are counted from 1.
+#[derive(Clone, Debug, PartialEq, Error)]
 #[expect(missing_docs, reason = "every field is in the message")]
 pub enum TrajectoryError {
     #[error("poses have {columns} columns, and the robot has {axes} axes: the file belongs to another robot")]
     OtherRobot { columns: usize, axes: usize },
-    #[error("poses of the tool ({}) cannot be executed: convert them to JOINT", .coordinates.keyword())]
+    #[error(
+        "poses of the tool ({}) cannot be executed: convert them to JOINT by `mrroc kinematics convert`",
+        .coordinates.keyword()
+    )]
     Tool { coordinates: Coordinates },
+    #[error("joints = {given} contradicts the file, whose joints are joints = {told}: remove the setting")]
+    Contradiction { told: JointConvention, given: JointConvention },
+    #[error("{0}")]
+    TwoReadings(Box<Readings>),
+    #[error("pose {pose}: {error}")]
+    Pose { pose: usize, error: KinematicsError },
     #[error("{0}")]
     Generator(#[from] GeneratorError),
 }
@@ -163,6 +189,7 @@ pub struct TrajectoryFile {
     motion: MotionType,
     columns: usize,
     poses: Vec<SmoothPose>,
+    joints: Option<JointConvention>,
 }
 
 impl TrajectoryFile {
@@ -188,44 +215,25 @@ impl TrajectoryFile {
                 others.fill(0.0);
             }
         }
-        Ok(Self { coordinates, motion, columns, poses })
+        Ok(Self { coordinates, motion, columns, poses, joints: None })
     }
 
-    /// Reads the text of a file.
+    /// The same file with a line that tells its convention of joints. Other files than JOINT remain as they are.
+    #[must_use]
+    pub fn telling(self, joints: JointConvention) -> Self {
+        Self { joints: (self.coordinates == Coordinates::Joint).then_some(joints), ..self }
+    }
+
+    /// Reads the text of a file, of any robot.
     pub fn parse(text: &str) -> Result<Self, TrajectoryFileError> {
-        let end = text.lines().count() + 1;
-        let lines = text.lines().zip(1..).map(|(line, number)| (line.trim(), number));
-        let mut lines = lines.filter(|(line, _)| !line.is_empty());
-        let mut head = || lines.next().ok_or(TrajectoryFileError { line: end, problem: TrajectoryFileProblem::NoHead });
+        reading::read(text, None).map(|(file, _)| file)
+    }
 
-        let (word, line) = head()?;
-        let coordinates = Coordinates::ALL.into_iter().find(|it| it.keyword() == word);
-        let coordinates =
-            coordinates.ok_or(TrajectoryFileError { line, problem: TrajectoryFileProblem::Coordinates })?;
-        let (word, line) = head()?;
-        let count = word.parse::<usize>().ok().filter(|count| (1..=MOST_POSES).contains(count));
-        let count = count.ok_or(TrajectoryFileError { line, problem: TrajectoryFileProblem::Count })?;
-        let (word, line) = head()?;
-        let motion = MotionType::ALL.into_iter().find(|it| it.keyword() == word);
-        let motion = motion.ok_or(TrajectoryFileError { line, problem: TrajectoryFileProblem::MotionType })?;
-
-        let mut columns = None;
-        let mut poses = Vec::new();
-        for pose in 1..=count {
-            let mut rows = [Axes::default(); 3];
-            for (row, values) in ROWS.into_iter().zip(&mut rows) {
-                let ended = TrajectoryFileProblem::Ended { pose, row };
-                let (text, line) = lines.next().ok_or(TrajectoryFileError { line: end, problem: ended })?;
-                let found = numbers(text, row, values, columns);
-                columns = Some(found.map_err(|problem| TrajectoryFileError { line, problem })?);
-            }
-            let [velocity, acceleration, position] = rows;
-            poses.push(SmoothPose { position, velocity, acceleration });
-        }
-        if let Some((_, line)) = lines.next() {
-            return Err(TrajectoryFileError { line, problem: TrajectoryFileProblem::Excess { poses: count } });
-        }
-        Ok(Self { coordinates, motion, columns: columns.unwrap_or_default(), poses })
+    /// Reads the text of a file for a robot with this number of axes. Columns behind those of the robot are ignored, as
+    /// MRROC++ did. Exception: a wider file for a robot of five axes keeps its columns, since it belongs to the IRp-6
+    /// with its six axes. The notes tell what was left out.
+    pub fn read(text: &str, axes: usize) -> Result<(Self, Vec<TrajectoryNote>), TrajectoryFileError> {
+        reading::read(text, Some(axes))
     }
 
     /// What the coordinates of the poses are.
@@ -236,6 +244,11 @@ impl TrajectoryFile {
     /// Reference of the poses.
     pub fn motion(&self) -> MotionType {
         self.motion
+    }
+
+    /// The convention of the joints, if the file tells it: by a line of its own, or by its age.
+    pub fn joints(&self) -> Option<JointConvention> {
+        self.joints
     }
 
     /// Number of columns of a row: that of the axes of the robot.
@@ -249,7 +262,7 @@ impl TrajectoryFile {
     }
 
     /// The motion through the poses for a robot with this number of axes. The fractions apply to `joints` or
-    /// `motors`, the limits of joints or motors.
+    /// `motors`, the limits of joints or motors. Joints are those of the robot: [`for_arm`](Self::for_arm) comes first.
     pub fn motion_of(
         &self,
         axes: usize,
@@ -292,28 +305,6 @@ impl PoseRow {
     }
 }
 
-/// Reads one row, and returns the number of its columns. Refuses a number other than the expected one.
-fn numbers(
-    text: &str,
-    row: PoseRow,
-    values: &mut Axes,
-    expected: Option<usize>,
-) -> Result<usize, TrajectoryFileProblem> {
-    let words = || text.split(|c: char| c == ',' || c.is_whitespace()).filter(|word| !word.is_empty());
-    let columns = words().count();
-    if !(1..=MAX_AXES).contains(&columns) {
-        return Err(TrajectoryFileProblem::TooWide { columns, max: MAX_AXES });
-    }
-    if let Some(expected) = expected.filter(|expected| *expected != columns) {
-        return Err(TrajectoryFileProblem::Ragged { columns, expected });
-    }
-    for (column, (value, word)) in values.iter_mut().zip(words()).enumerate() {
-        *value = word.parse().map_err(|_| TrajectoryFileProblem::Number { column: column + 1 })?;
-    }
-    check_row(row, &values[..columns])?;
-    Ok(columns)
-}
-
 /// Refuses numbers that are not finite, and fractions out of range.
 fn check_row(row: PoseRow, values: &[f64]) -> Result<(), TrajectoryFileProblem> {
     for (value, column) in values.iter().copied().zip(1..) {
@@ -340,6 +331,6 @@ impl fmt::Display for TrajectoryFile {
                 writeln!(f)?;
             }
         }
-        Ok(())
+        self.joints.map_or(Ok(()), |joints| writeln!(f, "{} = {joints}", reading::JOINTS))
     }
 }

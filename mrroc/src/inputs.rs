@@ -21,6 +21,8 @@ struct Known {
     is_input: bool,
     /// Whether the file belongs to the cell file, which several runs have in common.
     is_of_cell: bool,
+    /// Whether the contents were used.
+    is_used: bool,
 }
 
 /// The files of a cell and of a run. Clones share their files.
@@ -63,8 +65,17 @@ impl Inputs {
             bytes: Some(Arc::clone(&bytes)),
             is_input: true,
             is_of_cell,
+            is_used: false,
         });
         Ok(bytes)
+    }
+
+    /// Whether this is the first call for a file that was read. Rehearsals and run use a file several times, and tell
+    /// of it once.
+    pub(crate) fn is_first_use(&self, path: &Path) -> bool {
+        let mut known = self.known();
+        let of_path = known.iter_mut().find(|it| it.path == path && it.bytes.is_some());
+        of_path.is_some_and(|it| !std::mem::replace(&mut it.is_used, true))
     }
 
     /// Keeps an input that was read otherwise from becoming an output.
@@ -85,7 +96,16 @@ impl Inputs {
         if !known.iter().any(|it| it.what == what && it.identity == identity) {
             let file = input::open_regular(path).ok().map(Arc::new);
             let path = path.to_owned();
-            known.push(Known { what, path, identity, _open: file, bytes: None, is_input, is_of_cell: false });
+            known.push(Known {
+                what,
+                path,
+                identity,
+                _open: file,
+                bytes: None,
+                is_input,
+                is_of_cell: false,
+                is_used: false,
+            });
         }
     }
 

@@ -35,6 +35,7 @@ pub mod cell;
 pub mod charts;
 pub mod check;
 mod demand;
+mod frame_order;
 pub mod guardian;
 pub mod input;
 mod inputs;
@@ -114,6 +115,7 @@ pub mod prelude {
         ForceError, ForceReading, ForceTorque, GateError, GateReading, JogCommand, JogHandle, JogPanel, JogReading,
         LightGates, Marked, Operator, Passage, Question, Reaction, Shell, SightError, ViewedPlane, VirtualSensor,
     };
+    pub use controller::trajectory_file::JointConvention;
     pub use drive::cia401::InputImage;
 
     pub use crate::bench::BenchKind;

@@ -8,10 +8,11 @@ use controller::generator::{
     SelectionMemory, TimeOptimal,
 };
 use controller::robot::{Arm, Space};
-use controller::trajectory_file::TrajectoryFile;
+use controller::trajectory_file::{JointConvention, TrajectoryFile};
 
-use crate::cell::{CellFile, smooth_pose};
+use crate::cell::{CellFile, printable, smooth_pose};
 use crate::inputs::Inputs;
+use crate::streams;
 
 /// Greatest size of a trajectory file, bytes: several times what its greatest number of poses needs.
 const LARGEST_TRAJECTORY: usize = 64 << 20;
@@ -100,15 +101,32 @@ impl Motions {
 
     /// The motion of a [trajectory file](controller::trajectory_file) of MRROC++, a synchronised trapezoid through
     /// its poses. Its fractions apply to the limits of the joints or the motors of this robot. Refuses a file of a
-    /// robot with another number of axes, and poses of the tool. A run and its rehearsals read the file once: the file
-    /// that was rehearsed is the one that is executed.
+    /// robot with another number of axes, poses of the tool, and a JOINT file of IRp-6 or IRb-6 that does not tell the
+    /// [convention](JointConvention) of its joints: see [`trajectory_in`](Self::trajectory_in). A run and its
+    /// rehearsals read the file once: the file that was rehearsed is the one that is executed. Standard error tells
+    /// what of the file is ignored.
     pub fn trajectory(&self, path: impl AsRef<Path>) -> anyhow::Result<Newsmooth> {
-        let path = path.as_ref();
+        self.trajectory_of(path.as_ref(), None)
+    }
+
+    /// As [`trajectory`](Self::trajectory), with the convention of the joints of a JOINT file. Refuses a file that
+    /// tells the other convention.
+    pub fn trajectory_in(&self, path: impl AsRef<Path>, joints: JointConvention) -> anyhow::Result<Newsmooth> {
+        self.trajectory_of(path.as_ref(), Some(joints))
+    }
+
+    pub(crate) fn trajectory_of(&self, path: &Path, joints: Option<JointConvention>) -> anyhow::Result<Newsmooth> {
         let place = path.display();
         let bytes = self.inputs.read("a trajectory file of the task", path, LARGEST_TRAJECTORY);
         let bytes = bytes.with_context(|| place.to_string())?;
         let text = std::str::from_utf8(&bytes).with_context(|| format!("{place}: must be text"))?;
-        let file = TrajectoryFile::parse(text).map_err(|error| anyhow!("{place}:{error}"))?;
+        let read = TrajectoryFile::read(text, self.arm.axes());
+        let (file, notes) = read.map_err(|error| anyhow!("{place}:{error}"))?;
+        if self.inputs.is_first_use(path) {
+            let place = printable(&place.to_string());
+            notes.iter().for_each(|note| streams::warn(format_args!("mrroc: {place}: {note}")));
+        }
+        let file = file.for_arm(&self.arm, joints).with_context(|| place.to_string())?;
         let motion = file.motion_of(self.arm.axes(), self.limits, self.motor_limits);
         motion.with_context(|| place.to_string())
     }
@@ -199,7 +217,9 @@ mod tests {
     fn a_trajectory_file_that_is_replaced_after_its_rehearsal_is_not_executed() {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("poses.trj");
-        let pose = |column: f64| format!("JOINT\n1\nABSOLUTE\n1 1 1 1 1\n1 1 1 1 1\n{column} -1.5 0 0 0\n");
+        let pose = |column: f64| {
+            format!("JOINT\n1\nABSOLUTE\n1 1 1 1 1\n1 1 1 1 1\n{column} -1.5 0 0 0\njoints = inclination\n")
+        };
         fs::write(&path, pose(0.3)).unwrap();
         completes(async move |cell: &mut Cell| {
             let mut robot = cell.robot("left")?;
@@ -235,7 +255,7 @@ mod tests {
         let directory = tempfile::tempdir().unwrap();
         let fractions = "0.5 0.5 0.5 0.5 0.5\n0.2 0.2 0.2 0.2 0.2\n";
         let (joints, motors) = (directory.path().join("joints.trj"), directory.path().join("motors.trj"));
-        let poses = format!("JOINT\n1\nABSOLUTE\n{fractions}0.2 -1.6 0.05 0.1 0.2\n");
+        let poses = format!("JOINT\n1\nABSOLUTE\n{fractions}0.2 -1.6 0.05 0.1 0.2\njoints = inclination\n");
         fs::write(&joints, poses).unwrap();
         fs::write(&motors, format!("MOTOR\n1\nRELATIVE\n{fractions}5 0 0 0 0\n")).unwrap();
         completes(async move |cell: &mut Cell| {
@@ -293,6 +313,46 @@ mod tests {
         assert!(refused(b"\xff\n").starts_with(": must be text"));
         fs::remove_file(&path).unwrap();
         assert!(motions().trajectory(&path).is_err());
+    }
+
+    #[test]
+    fn a_joint_file_that_cannot_tell_its_joints_is_refused_with_both_readings_and_their_tool_poses() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("poses.trj");
+        fs::write(&path, "JOINT\n1\nABSOLUTE\n1 1 1 1 1\n1 1 1 1 1\n0.3 -1.2 0.1 0.2 0\n").unwrap();
+        let refusal = format!("{:#}", motions().trajectory(&path).unwrap_err());
+        for part in ["joints = \"inclination\"", "joints = \"relative\"", "pose 1", "-1.2000 0.1000 0.2000", "tool at"]
+        {
+            assert!(refusal.contains(part), "{part}: {refusal}");
+        }
+        motions().trajectory_in(&path, JointConvention::Relative).unwrap();
+        motions().trajectory_in(&path, JointConvention::Inclination).unwrap();
+        // Upright, with a level upper arm and a level wrist, both readings are the same.
+        let upright = format!("JOINT\n1\nABSOLUTE\n1 1 1 1 1\n1 1 1 1 1\n0.3 {} 0 0 0\n", -std::f64::consts::FRAC_PI_2);
+        fs::write(&path, upright).unwrap();
+        motions().trajectory(&path).unwrap();
+    }
+
+    #[test]
+    fn a_file_of_relative_joints_moves_to_the_inclinations_that_they_are() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("poses.trj");
+        // th2 = -1.6, th3 = 0.05, th4 = 0.1.
+        let relative = [0.2, -1.6, 0.05 + 1.6 - std::f64::consts::FRAC_PI_2, 0.05, 0.2];
+        let row = relative.map(|joint| joint.to_string()).join(" ");
+        fs::write(&path, format!("JOINT\n1\nABSOLUTE\n1 1 1 1 1\n1 1 1 1 1\n{row}\n")).unwrap();
+        completes(async move |cell: &mut Cell| {
+            let mut robot = cell.robot("left")?;
+            robot.enable().await?;
+            robot.home().await?;
+            let motion = robot.motions().trajectory_in(&path, JointConvention::Relative)?;
+            robot.execute(motion).await?;
+            let reached = robot.image()?.commanded.joints.position;
+            for (reached, asked) in reached.iter().zip([0.2, -1.6, 0.05, 0.1, 0.2]) {
+                assert!((reached - asked).abs() < 1e-6, "{reached} for {asked}");
+            }
+            Ok(())
+        });
     }
 
     #[test]

@@ -251,3 +251,31 @@ fn on_pedestal(plant: Plant, number: usize, home: f64) -> AxisConfig {
         ..preset
     }
 }
+
+#[cfg(test)]
+mod tests {
+    //! Ratings of the motors.
+
+    use hil::plant::PlantConfig;
+
+    use super::*;
+
+    #[test]
+    fn the_motors_of_a_model_have_the_torques_of_its_emulated_motors() {
+        for model in Model::ALL {
+            let parameters = model.parameters();
+            let ratings = each_robot!(parameters, it => it.motors());
+            if matches!(model, Model::Gripper | Model::Conveyor) {
+                assert!(ratings.is_empty(), "{model:?} has no links");
+                continue;
+            }
+            assert_eq!(ratings.len(), model.axes(), "{model:?}");
+            for (number, rating) in ratings.iter().enumerate() {
+                let emulated = parameters.plant(Plant::Physical, number, 0.0);
+                let PlantConfig::Physical(motor) = emulated.plant else { panic!("a physical plant") };
+                let torque = motor.torque_constant * emulated.amplifier.max_current;
+                assert!((rating.torque - torque).abs() < 1e-12, "{model:?} {number}: {torque}");
+            }
+        }
+    }
+}

@@ -9,33 +9,45 @@ use controller::ecp::{StepRecord, StepRecords};
 use drive::AxisCommand;
 use servo::Record;
 
+use crate::frame_order::FrameOrder;
 use crate::row_file::{FileName, IncompleteFile, RowFile};
 use crate::{bench::interfaces::Interface, cell::CellFile};
 
-/// A candump log of every frame that passed the ports of a run.
+/// A candump log of every frame that passed the ports of a run, in the order of time.
 pub(crate) struct FrameLog {
     names: Vec<can::InterfaceName>,
+    order: FrameOrder,
     rows: RowFile,
 }
 
 impl FrameLog {
     pub(crate) fn new(name: FileName, file: File, names: Vec<can::InterfaceName>) -> io::Result<Self> {
-        Ok(Self { names, rows: RowFile::new(name, file, "")? })
+        Ok(Self { names, order: FrameOrder::default(), rows: RowFile::new(name, file, "")? })
     }
 
-    /// Writes a frame of bus `bus`.
+    /// Takes a frame of bus `bus`.
     pub(crate) fn write(&mut self, bus: usize, traced: &Traced) {
-        let Traced { at, frame, .. } = *traced;
+        self.order.push(bus, *traced);
+    }
+
+    /// Writes the frames that are due. To be called when the frames of all buses were taken.
+    pub(crate) fn flush(&mut self) {
+        while let Some((bus, traced)) = self.order.next() {
+            self.row(bus, traced);
+        }
+        self.rows.flush();
+    }
+
+    fn row(&mut self, bus: usize, Traced { at, frame, .. }: Traced) {
         let entry = candump::Entry { at, interface: self.names[bus], frame, direction: None };
         self.rows.row(at, |row| write!(row, "{entry}"));
     }
 
-    pub(crate) fn flush(&mut self) {
-        self.rows.flush();
-    }
-
     /// Writes the rest. `dropped`: further frames that found no room.
-    pub(crate) fn finish(self, dropped: u64) -> Option<IncompleteFile> {
+    pub(crate) fn finish(mut self, dropped: u64) -> Option<IncompleteFile> {
+        while let Some((bus, traced)) = self.order.rest() {
+            self.row(bus, traced);
+        }
         self.rows.finish(dropped)
     }
 }

@@ -310,6 +310,11 @@ fn a_description_is_what_urdf_rs_reads_and_reaches_the_flange() {
             assert!(read.links.iter().any(|link| link.name == parent), "{robot}: {parent}");
         }
         assert_eq!(parent, "flange", "{robot}");
+        for joint in read.joints.iter().filter(|joint| joint.joint_type != urdf_rs::JointType::Fixed) {
+            assert!(joint.limit.effort > 0.0 && joint.limit.velocity > 0.0, "{robot}: {}", joint.name);
+            let moved = read.links.iter().find(|link| link.name == joint.child.link).unwrap();
+            assert!(moved.inertial.mass.value > 0.0 && !moved.collision.is_empty(), "{robot}: {}", moved.name);
+        }
         assert!(read.links.iter().filter(|link| !link.visual.is_empty()).count() >= axes, "{robot}");
     }
 }
@@ -349,8 +354,9 @@ fn a_description_from_a_cell_has_its_scene_fixed_to_the_world() {
         let place = |link: &str| read.joints.iter().find(|joint| joint.child.link == link).unwrap();
         let cell = ::mrroc::cell::Cell::parse(&kit::mrroc::text(name)).unwrap();
         let base = cell.robot.iter().find(|it| it.name == robot).unwrap().cell_from_base();
-        assert_eq!(place("base_link").parent.link, "world");
-        assert_eq!(place("base_link").origin.xyz.0, <[f64; 3]>::from(base.translation.vector));
+        let own = format!("{robot}_base_link");
+        assert_eq!(place(&own).parent.link, "world");
+        assert_eq!(place(&own).origin.xyz.0, <[f64; 3]>::from(base.translation.vector));
         for (link, centre, size) in boxes {
             let joint = place(link);
             assert_eq!((joint.parent.link.as_str(), &joint.joint_type), ("world", &urdf_rs::JointType::Fixed));
@@ -366,6 +372,8 @@ fn a_description_from_a_cell_has_its_scene_fixed_to_the_world() {
                 panic!("{link}: {:?}", drawn.geometry);
             };
             assert!(near(found.0, size), "{link}: {found:?}");
+            let collides = !read.links.iter().find(|it| it.name == *link).unwrap().collision.is_empty();
+            assert_eq!(collides, !link.starts_with("gate"), "{link}: light does not collide");
             assert!(drawn.material.as_ref().is_some_and(|material| material.color.is_some()), "{link}");
         }
     }

@@ -32,6 +32,7 @@ mod force_inertia;
 mod force_law;
 mod force_refusals;
 mod force_sensors;
+mod frame_order;
 mod heap;
 mod held_bar;
 mod held_frames;

@@ -58,7 +58,7 @@ fn no_output_replaces_what_a_run_reads() {
     let cell = kit::teach::cell(&directory, "file = 'poses.trj'\nreplace = true");
     let files = [
         ("faults.toml", "[[fault]]\nat = 900.0\nkind = \"lost\"\naxis = \"column\"\n"),
-        ("poses.trj", "JOINT\n1\nABSOLUTE\n1 1 1 1 1\n1 1 1 1 1\n0.3 -1.5 0 0 0\n"),
+        ("poses.trj", "JOINT\n1\nABSOLUTE\n1 1 1 1 1\n1 1 1 1 1\n0.3 -1.5 0 0 0\njoints = inclination\n"),
         ("orders", "record\ndone\n"),
     ];
     for (name, text) in files {

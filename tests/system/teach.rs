@@ -132,7 +132,7 @@ fn a_teach_in_replaces_no_input_of_its_run() {
 #[test]
 fn check_takes_the_task_of_a_run() {
     let directory = Directory::new();
-    directory.write("five.trj", "JOINT\n1\nABSOLUTE\n1 1 1 1 1\n1 1 1 1 1\n0.3 -1.5 0 0 0\n");
+    directory.write("five.trj", "JOINT\n1\nABSOLUTE\n1 1 1 1 1\n1 1 1 1 1\n0.3 -1.5 0 0 0\njoints = inclination\n");
     directory.write("six.trj", "JOINT\n1\nABSOLUTE\n1 1 1 1 1 1\n1 1 1 1 1 1\n0 0 0 0 0 0\n");
     for (task, file, status) in [("replay", "five.trj", 0), ("replay", "six.trj", 2), ("teach", "new.trj", 0)] {
         let cell = cell(&directory, &format!("file = '{file}'"));
@@ -146,7 +146,7 @@ fn check_takes_the_task_of_a_run() {
 fn a_teach_in_or_a_replay_that_cannot_succeed_is_refused_before_motion() {
     let directory = Directory::new();
     let six = "JOINT\n1\nABSOLUTE\n1 1 1 1 1 1\n1 1 1 1 1 1\n0 0 0 0 0 0\n";
-    let far = "JOINT\n1\nABSOLUTE\n1 1 1 1 1\n1 1 1 1 1\n9 0 0 0 0\n";
+    let far = "JOINT\n1\nABSOLUTE\n1 1 1 1 1\n1 1 1 1 1\n9 0 0 0 0\njoints = inclination\n";
     directory.write("six.trj", six);
     directory.write("far.trj", far);
     let other = "the file belongs to another robot";
@@ -168,4 +168,95 @@ fn a_teach_in_or_a_replay_that_cannot_succeed_is_refused_before_motion() {
         assert!(run.stderr.contains(refusal), "{task}, {parameters}: {run:?}");
         assert!(!trace.exists() && !directory.path("new.trj").exists(), "{task}, {parameters}: {run:?}");
     }
+}
+
+/// A JOINT file of the IRb-6 as MRROC++ wrote it since September 2010, with these five joints.
+fn joint_file(joints: &str) -> String {
+    format!("JOINT\n1\nABSOLUTE\n1 1 1 1 1\n1 1 1 1 1\n{joints}\n")
+}
+
+#[test]
+fn a_joint_file_that_does_not_tell_its_joints_is_replayed_with_a_key_or_an_option_only() {
+    let directory = Directory::new();
+    // The inclinations 0.3, -1.5, 0.1, 0.2, 0 as relative joints.
+    let relative = 0.1 + 1.5 - std::f64::consts::FRAC_PI_2;
+    directory.write("relative.trj", &joint_file(&format!("0.3 -1.5 {relative} 0.1 0")));
+    let of_key = |key: &str| cell(&directory, &format!("file = 'relative.trj'\n{key}"));
+    let refused = mrroc(arguments(&of_key(""), "replay", &["--bench=lockstep"]));
+    assert_eq!(refused.status.code(), Some(2), "{refused:?}");
+    for part in ["relative.trj: the file does not tell", "joints = \"inclination\"", "joints = \"relative\"", "tool at"]
+    {
+        assert!(refused.stderr.contains(part), "{part}: {refused:?}");
+    }
+    let checked = mrroc(["check", of_key("").to_str().unwrap(), "--task", "replay"]);
+    assert_eq!(checked.status.code(), Some(2), "{checked:?}");
+    let record = directory.path("record.csv");
+    // The option takes precedence over the key.
+    for (key, options) in [("joints = 'relative'", &[][..]), ("joints = 'inclination'", &["--joints", "relative"])] {
+        let options = [&["--bench=lockstep", "--force", "--record", record.to_str().unwrap()], options].concat();
+        let run = mrroc(arguments(&of_key(key), "replay", &options));
+        assert_eq!(run.status.code(), Some(0), "{run:?}");
+        let reached = end(&record);
+        directory.write("inclinations.trj", &format!("{}joints = inclination\n", joint_file("0.3 -1.5 0.1 0.2 0")));
+        let other = cell(&directory, "file = 'inclinations.trj'");
+        let run =
+            mrroc(arguments(&other, "replay", &["--bench=lockstep", "--force", "--record", record.to_str().unwrap()]));
+        assert_eq!(run.status.code(), Some(0), "{run:?}");
+        for (axis, position) in end(&record) {
+            assert!((position - reached[&axis]).abs() < 1e-6, "{axis}: {position} and {}", reached[&axis]);
+        }
+    }
+    let contradicted = cell(&directory, "file = 'inclinations.trj'\njoints = 'relative'");
+    let run = mrroc(arguments(&contradicted, "replay", &["--bench=lockstep"]));
+    assert_eq!(run.status.code(), Some(2), "{run:?}");
+    assert!(run.stderr.contains("contradicts the file"), "{run:?}");
+    let home = mrroc(["check", of_key("").to_str().unwrap(), "--task", "home", "--joints", "relative"]);
+    assert_eq!(home.status.code(), Some(2), "{home:?}");
+    assert!(home.stderr.contains("--joints: the task has no trajectory file"), "{home:?}");
+}
+
+#[test]
+fn a_teach_in_writes_relative_joints_on_request_and_its_file_is_replayed_without_the_key() {
+    let directory = Directory::new();
+    let cells = ["joints = 'relative'", ""].map(|key| (key, cell(&directory, &format!("file = 'poses.trj'\n{key}"))));
+    let run = teach_in_lockstep(&cells[0].1, &ORDERS, &["--joints", "relative"]);
+    assert_eq!(run.status.code(), Some(0), "{run:?}");
+    let text = fs::read_to_string(directory.path("poses.trj")).unwrap();
+    assert!(text.ends_with("\njoints = relative\n"), "{text}");
+    let poses = TrajectoryFile::parse(&text).unwrap();
+    // Of the taught displacements (th2 by -0.1), q3 has the opposite one.
+    let [first, second] = [0, 1].map(|pose| poses.poses()[pose].position);
+    assert!((second[1] - first[1] + 0.1).abs() < 1e-6 && (second[2] - first[2] - 0.1).abs() < 1e-6, "{text}");
+    let run = mrroc(arguments(&cells[1].1, "replay", &["--bench=lockstep"]));
+    assert_eq!(run.status.code(), Some(0), "{run:?}");
+}
+
+#[test]
+fn what_a_replay_ignores_of_its_file_is_told_once() {
+    let directory = Directory::new();
+    let spare = format!("{}joints = inclination\n1 1 1 1 1\n", joint_file("0.3 -1.5 0.1 0.2 0"));
+    directory.write("spare.trj", &spare);
+    let run = mrroc(arguments(&cell(&directory, "file = 'spare.trj'"), "replay", &["--bench=lockstep"]));
+    assert_eq!(run.status.code(), Some(0), "{run:?}");
+    let told = "spare.trj: lines from 8 on (1) are ignored: they are behind the 1 poses of line 2";
+    assert_eq!(run.stderr.matches(told).count(), 1, "{run:?}");
+}
+
+#[test]
+fn a_file_with_poses_of_the_tool_is_refused_with_the_command_that_converts_it() {
+    let directory = Directory::new();
+    let tool = "XYZ_ANGLE_AXIS\n1\nRELATIVE\n.1 .2 .3 .4 .5 .6\n.1 .1 .1 .1 .1 .1\n0 0 -.02 0 0 0\n";
+    directory.write("tool.trj", tool);
+    let cell = cell(&directory, "file = 'tool.trj'");
+    let run = mrroc(arguments(&cell, "replay", &["--bench=lockstep"]));
+    assert_eq!(run.status.code(), Some(2), "{run:?}");
+    assert!(run.stderr.contains("convert them to JOINT by `mrroc kinematics convert`"), "{run:?}");
+    let (file, cell) = (directory.path("tool.trj"), cell.to_str().unwrap().to_owned());
+    let of_cell = ["kinematics", "convert", file.to_str().unwrap(), "--robot", "irb6", "--cell", &cell];
+    let converted = mrroc(of_cell.into_iter().chain(["--near", "0.3,-1.5,0.1,0.2,0"]));
+    assert_eq!(converted.status.code(), Some(0), "{converted:?}");
+    assert!(converted.stderr.contains("the least fraction of its row"), "{converted:?}");
+    directory.write("tool.trj", &converted.stdout);
+    let run = mrroc(arguments(Path::new(&cell), "replay", &["--bench=lockstep"]));
+    assert_eq!(run.status.code(), Some(0), "{run:?}");
 }

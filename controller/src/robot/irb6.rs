@@ -6,7 +6,7 @@ use nalgebra::{Isometry3, Matrix3};
 use serde::{Deserialize, Serialize};
 
 use super::{
-    ArmParameters, Jacobian, Joints, KinematicsError, Limits, Link, Mass, Motors, ParameterError, Robot,
+    ArmParameters, Jacobian, Joints, KinematicsError, Limits, Link, Mass, MotorRating, Motors, ParameterError, Robot,
     RobotParameters, Solutions,
     arm::{self, Facing, Posture, ROLL},
     drive_train::DriveTrain,
@@ -132,6 +132,10 @@ impl Robot for Irb6 {
     fn links(&self) -> Vec<Link> {
         self.parameters.arm.links(self.joint_limits())
     }
+
+    fn lower_arm(&self) -> Option<usize> {
+        Some(arm::SHOULDER)
+    }
 }
 
 impl RobotParameters for Irb6Parameters {
@@ -156,5 +160,9 @@ impl RobotParameters for Irb6Parameters {
                 Mass::new(1.35, [0.0, 0.0, 0.15]),
             ]
         }
+    }
+
+    fn motors(&self) -> &'static [MotorRating] {
+        &MotorRating::IRP6[..AXES]
     }
 }

@@ -7,8 +7,8 @@ use serde::{Deserialize, Serialize};
 
 use super::room::room;
 use super::{
-    ArmParameters, GearAxis, Jacobian, Joints, KinematicsError, Limits, Link, Mass, Motors, ParameterError, Robot,
-    RobotParameters, Solutions,
+    ArmParameters, GearAxis, Jacobian, Joints, KinematicsError, Limits, Link, Mass, MotorRating, Motors,
+    ParameterError, Robot, RobotParameters, Solutions,
     arm::{self, Facing, PARALLEL, PITCH, Posture, ROLL},
     drive_train::DriveTrain,
     parameters,
@@ -184,6 +184,10 @@ impl Robot for Irp6 {
         links.push(Link::turning("hand", across, &[(HAND, 1.0)], limits));
         links
     }
+
+    fn lower_arm(&self) -> Option<usize> {
+        Some(arm::SHOULDER)
+    }
 }
 
 impl Mass {
@@ -211,5 +215,9 @@ impl RobotParameters for Irp6Parameters {
 
     fn masses(&self) -> &'static [Mass] {
         &Mass::IRP6
+    }
+
+    fn motors(&self) -> &'static [MotorRating] {
+        &MotorRating::IRP6
     }
 }

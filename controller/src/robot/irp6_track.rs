@@ -7,8 +7,8 @@ use serde::{Deserialize, Serialize};
 
 use super::room::room;
 use super::{
-    GearAxis, Irp6, Irp6Parameters, Jacobian, Joints, KinematicsError, Limits, Link, LinkKind, Mass, Motors,
-    ParameterError, Robot, RobotParameters, Solutions,
+    GearAxis, Irp6, Irp6Parameters, Jacobian, Joints, KinematicsError, Limits, Link, LinkKind, Mass, MotorRating,
+    Motors, ParameterError, Robot, RobotParameters, Solutions,
     drive_train::DriveTrain,
     free_parameter::{self, Ring},
     parameters,
@@ -267,6 +267,10 @@ impl Robot for Irp6Track {
         links.insert(0, track);
         links
     }
+
+    fn lower_arm(&self) -> Option<usize> {
+        self.robot.lower_arm().map(|axis| axis + 1)
+    }
 }
 
 fn parted<S>(all: &super::Vector<S>) -> Result<(f64, super::Vector<S>), KinematicsError> {
@@ -311,5 +315,13 @@ impl RobotParameters for Irp6TrackParameters {
             [carriage, column, lower_arm, upper_arm, pitch, roll, hand]
         };
         &MASSES
+    }
+
+    // The track has the motor of the column.
+    fn motors(&self) -> &'static [MotorRating] {
+        const {
+            let [column, lower_arm, upper_arm, pitch, roll, hand] = MotorRating::IRP6;
+            &[column, column, lower_arm, upper_arm, pitch, roll, hand]
+        }
     }
 }

@@ -39,6 +39,7 @@ mod legs;
 mod links;
 mod parameters;
 mod polycrank;
+mod rating;
 mod rnt;
 mod room;
 mod singularity;
@@ -65,6 +66,7 @@ pub use irp6_track::{Irp6Track, Irp6TrackParameters};
 pub use links::{Link, LinkKind};
 pub use parameters::{ArmParameters, ParameterError};
 pub use polycrank::{Polycrank, PolycrankParameters};
+pub use rating::MotorRating;
 pub use rnt::{LegAxis, Rnt, RntParameters};
 pub use singularity::Singularity;
 pub use solutions::Solutions;
@@ -92,6 +94,11 @@ pub trait RobotParameters: Copy {
 
     /// Nominal masses of the links: plausible figures, to be replaced by those of the machine at hand.
     fn masses(&self) -> &'static [Mass] {
+        &[]
+    }
+
+    /// Nominal ratings of the motors, in the order of the axes. A robot without links needs none.
+    fn motors(&self) -> &'static [MotorRating] {
         &[]
     }
 
@@ -156,6 +163,12 @@ pub trait Robot: fmt::Debug + Send + Sync {
     /// [`forward`](Self::forward).
     fn links(&self) -> Vec<Link> {
         Vec::new()
+    }
+
+    /// Index of the lower arm's joint, if the joints of lower arm, upper arm and wrist pitch follow each other and are
+    /// inclinations to the horizontal, as those of the IRp-6. `None` for any other robot.
+    fn lower_arm(&self) -> Option<usize> {
+        None
     }
 }
 

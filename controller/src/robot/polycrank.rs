@@ -9,8 +9,8 @@ use serde::{Deserialize, Serialize};
 
 use super::room::room;
 use super::{
-    GearAxis, Jacobian, Joints, KinematicsError, Limits, Link, Mass, Motors, ParameterError, Robot, RobotParameters,
-    Solutions,
+    GearAxis, Jacobian, Joints, KinematicsError, Limits, Link, Mass, MotorRating, Motors, ParameterError, Robot,
+    RobotParameters, Solutions,
     arm::{self, PARALLEL},
     drive_train::{DriveTrain, TrainAxis},
     free_parameter, parameters,
@@ -389,5 +389,13 @@ impl RobotParameters for PolycrankParameters {
     // Of the two directions that the level axis 1 leaves open x is taken (nominal).
     fn up(&self) -> [f64; 3] {
         [1.0, 0.0, 0.0]
+    }
+
+    // 24 A at 0.4 N·m/A, 10 A and 4 A at 0.2 N·m/A.
+    fn motors(&self) -> &'static [MotorRating] {
+        const {
+            let (crank, forearm) = (MotorRating::new(250.0, 9.6), MotorRating::new(250.0, 2.0));
+            &[crank, crank, crank, forearm, forearm, forearm, MotorRating::new(250.0, 0.8)]
+        }
     }
 }

@@ -7,8 +7,8 @@ use serde::{Deserialize, Serialize};
 
 use super::room::room;
 use super::{
-    GearAxis, Jacobian, Joints, KinematicsError, Limits, Link, LinkKind, Mass, Motors, ParameterError, Robot,
-    RobotParameters, Solutions, Space,
+    GearAxis, Jacobian, Joints, KinematicsError, Limits, Link, LinkKind, Mass, MotorRating, Motors, ParameterError,
+    Robot, RobotParameters, Solutions, Space,
     arm::{self, PARALLEL},
     drive_train::{self, DriveTrain, TrainAxis},
     legs::{self, Legs, Posture},
@@ -413,5 +413,13 @@ impl RobotParameters for RntParameters {
     // It hangs.
     fn up(&self) -> [f64; 3] {
         [0.0, 0.0, -1.0]
+    }
+
+    // Legs at 15 A, wrist at 8 A, 0.105 N·m/A.
+    fn motors(&self) -> &'static [MotorRating] {
+        const {
+            let (leg, wrist) = (MotorRating::new(200.0, 1.575), MotorRating::new(200.0, 0.84));
+            &[leg, leg, leg, wrist, wrist, wrist]
+        }
     }
 }

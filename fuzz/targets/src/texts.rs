@@ -42,6 +42,9 @@ pub fn text_lines(data: &[u8]) {
     let Ok(text) = str::from_utf8(data) else {
         return;
     };
+    if let Ok((file, notes)) = TrajectoryFile::read(text, 6) {
+        assert!(file.columns() <= 6 && notes.iter().all(|note| !note.to_string().is_empty()));
+    }
     match TrajectoryFile::parse(text) {
         Ok(file) => assert_eq!(TrajectoryFile::parse(&file.to_string()), Ok(file)),
         Err(error) => assert!(!error.to_string().is_empty()),

@@ -10,8 +10,8 @@ use servo::{FeedForward, FrozenWatch, HomingLeg, HostHoming, HostLoop, Output, P
 use super::{
     Axis, AxisController, Cell, Control, Direction, Drive, DriveControl, Homing, Loop, Parameter, Robot, Serial,
 };
-use canopen::Object;
-use controller::robot::Limits;
+use canopen::{Object, objects};
+use controller::robot::{Limits, MotorRating};
 
 /// Longest way back from the home switch to its index pulse, rad: five turns of the motor. A switch may take up most
 /// of this way.
@@ -105,6 +105,15 @@ impl Parameter {
     }
 }
 
+impl Drive {
+    /// Torque that the drive can ask of its motor, N·m.
+    fn max_torque(&self) -> f64 {
+        let Object { index, subindex } = objects::MAX_TORQUE;
+        let given = self.parameter.iter().rev().find(|it| (it.index, it.subindex) == (index, subindex));
+        self.rated_torque * given.map_or(1.0, |it| f64::from(it.value) / 1000.0)
+    }
+}
+
 impl Axis {
     /// Scale between motor positions, rad, and the counts of the drive. The homed counter reads zero at the motor
     /// position `home`, rad.
@@ -127,6 +136,17 @@ impl Axis {
             (None, Some(controller)) => (controller.counts_per_revolution, controller.reversed),
             (None, None) => unreachable!("{HAS_DRIVE}"),
         }
+    }
+
+    /// What the motor can do in this cell: its `max_velocity`, and the torque at the `max_current` of an axis controller.
+    /// The torque of a drive is its maximum torque (0x6072) if the table `parameter` sets it, else its rated torque.
+    pub fn motor_rating(&self) -> MotorRating {
+        let torque = match (&self.drive, &self.controller) {
+            (Some(drive), _) => drive.max_torque(),
+            (None, Some(controller)) => controller.max_current * controller.torque_constant,
+            (None, None) => unreachable!("{HAS_DRIVE}"),
+        };
+        MotorRating { velocity: self.max_velocity, torque }
     }
 
     /// The drive on a CAN bus. Not for an axis on a serial line.

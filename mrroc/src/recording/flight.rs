@@ -16,6 +16,7 @@ use super::sources::Layout;
 use super::window::Window;
 use super::{FlightRequest, candump_line};
 use crate::cell::CellFile;
+use crate::frame_order::FrameOrder;
 use crate::streams;
 
 /// Time of the run after a fault that the file contains.
@@ -153,7 +154,8 @@ impl Flights {
     ) -> anyhow::Result<PathBuf> {
         let (path, mcap) = self.new_file()?;
         let log = path.with_extension("log");
-        let frames = match create(&log) {
+        // A cell without a CAN bus has no log.
+        let frames = match (!names.is_empty()).then(|| create(&log)).transpose() {
             Ok(frames) => frames,
             Err(error) => {
                 let _ = fs::remove_file(&path);
@@ -161,7 +163,8 @@ impl Flights {
             }
         };
         self.fill(mcap, frames, window, facts, layout, names).with_context(|| {
-            let left: Vec<_> = [&path, &log].into_iter().filter(|path| fs::remove_file(path).is_err()).collect();
+            let made = [Some(&path), (!names.is_empty()).then_some(&log)].into_iter().flatten();
+            let left: Vec<_> = made.filter(|path| fs::remove_file(path).is_err()).collect();
             match left.is_empty() {
                 true => format!("{}: the part that was written is removed", path.display()),
                 false => format!("{}: the file is partial", path.display()),
@@ -173,28 +176,34 @@ impl Flights {
     fn fill(
         &self,
         mcap: File,
-        frames: File,
+        frames: Option<File>,
         window: &Window,
         facts: &Facts,
         layout: &Layout,
         names: &[InterfaceName],
     ) -> anyhow::Result<()> {
-        let mut frames = BufWriter::new(frames);
+        let mut order = FrameOrder::default();
         let mut facts = facts.clone();
         facts.texts.insert("whole".to_owned(), window.is_whole().to_string());
         let mut mcap = McapFile::new(mcap, &facts, layout.channels())?;
         window.try_each(|channel, time, number, body| {
             mcap.write(channel, time, number, body)?;
-            let bus = names.iter().enumerate().find(|(bus, _)| layout.bus(*bus) == channel);
-            if let Some((_, name)) = bus
+            let bus = (0..names.len()).find(|bus| layout.bus(*bus) == channel);
+            if let Some(bus) = bus
                 && let Some(entry) = BusEvent::decode(body)?.entry(time)
                 && let TraceEvent::Frame(traced) = entry.event
             {
-                writeln!(frames, "{}", candump_line(*name, traced))?;
+                order.push(bus, traced);
             }
             anyhow::Ok(())
         })?;
-        frames.flush()?;
+        if let Some(frames) = frames {
+            let mut frames = BufWriter::new(frames);
+            while let Some((bus, traced)) = order.rest() {
+                writeln!(frames, "{}", candump_line(names[bus], traced))?;
+            }
+            frames.flush()?;
+        }
         // The last call of the servo may be under way.
         mcap.finish(false)
     }

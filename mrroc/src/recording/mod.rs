@@ -42,6 +42,7 @@ use servo::{JournalEvent, JournalReader, Record};
 
 use crate::bench::BenchKind;
 use crate::cell::CellFile;
+use crate::frame_order::FrameOrder;
 use crate::outputs::Outputs;
 use crate::row_file::{FileName, IncompleteFile, RowFile};
 use crate::run::RunOptions;
@@ -89,7 +90,9 @@ struct Stream {
     name: FileName,
     /// `None` after a failure.
     mcap: Option<McapFile>,
-    frames: RowFile,
+    /// The frames of the buses, in the order of time; `None` for a cell without a CAN bus.
+    frames: Option<RowFile>,
+    order: FrameOrder,
     drains: u32,
     flushed: Instant,
     /// Number of messages since the file was completed on the disk, and time of the first.
@@ -120,13 +123,14 @@ impl Recorder {
     }
 
     /// Streams the whole run to `mcap` under the name `path`, and the frames of the buses to `frames`.
-    pub(crate) fn stream_to(&mut self, path: &Path, mcap: File, frames: File) -> anyhow::Result<()> {
+    pub(crate) fn stream_to(&mut self, path: &Path, mcap: File, frames: Option<File>) -> anyhow::Result<()> {
         let mcap = McapFile::new(mcap, &self.facts, self.layout.channels())?;
         let log = FileName::new("--record", &path.with_extension("log"), "frames");
         self.stream = Some(Stream {
             name: FileName::new("--record", path, "messages"),
             mcap: Some(mcap),
-            frames: RowFile::new(log, frames, "")?,
+            frames: frames.map(|frames| RowFile::new(log, frames, "")).transpose()?,
+            order: FrameOrder::default(),
             drains: 0,
             flushed: Instant::ZERO,
             pending: (0, None),
@@ -187,8 +191,7 @@ impl Recorder {
     pub(crate) fn bus(&mut self, bus: usize, entry: &TraceEntry) {
         self.message(self.layout.bus(bus), entry.now, &BusEvent::of(entry));
         if let (Some(stream), TraceEvent::Frame(traced)) = (&mut self.stream, entry.event) {
-            let line = candump_line(self.interfaces[bus], traced);
-            stream.frames.row(entry.now, |row| write!(row, "{line}"));
+            stream.order.push(bus, traced);
         }
     }
 
@@ -205,6 +208,7 @@ impl Recorder {
             self.message(self.layout.lost(), self.latest, &Lost { entries: lost });
         }
         if let Some(stream) = &mut self.stream {
+            stream.write_frames(&self.interfaces, FrameOrder::next);
             stream.drains += 1;
             if stream.drains >= DRAINS || self.latest.since(stream.flushed) >= FLUSH {
                 (stream.drains, stream.flushed) = (0, self.latest);
@@ -223,7 +227,7 @@ impl Recorder {
         if self.flights.as_ref().is_some_and(|flights| flights.is_wanted(faulted)) {
             self.write_flight();
         }
-        self.stream.map_or_else(Vec::new, Stream::finish)
+        self.stream.map_or_else(Vec::new, |stream| stream.finish(&self.interfaces))
     }
 
     fn write_flight(&mut self) {
@@ -281,15 +285,32 @@ impl Stream {
             self.note(flushed);
         }
         self.pending = (0, None);
-        self.frames.flush();
+        if let Some(frames) = &mut self.frames {
+            frames.flush();
+        }
     }
 
-    fn finish(mut self) -> Vec<IncompleteFile> {
+    /// Writes the frames that `next` takes from the order of frames.
+    fn write_frames(
+        &mut self,
+        names: &[InterfaceName],
+        next: impl Fn(&mut FrameOrder) -> Option<(usize, can::Traced)>,
+    ) {
+        while let Some((bus, traced)) = next(&mut self.order) {
+            let line = candump_line(names[bus], traced);
+            if let Some(frames) = &mut self.frames {
+                frames.row(traced.at, |row| write!(row, "{line}"));
+            }
+        }
+    }
+
+    fn finish(mut self, names: &[InterfaceName]) -> Vec<IncompleteFile> {
+        self.write_frames(names, FrameOrder::rest);
         if let Some(mcap) = self.mcap.take() {
             let finished = mcap.finish(true);
             self.note(finished);
         }
-        self.incomplete.into_iter().chain(self.frames.finish(0)).collect()
+        self.incomplete.into_iter().chain(self.frames.and_then(|frames| frames.finish(0))).collect()
     }
 }
 
@@ -301,10 +322,16 @@ fn candump_line(interface: InterfaceName, traced: can::Traced) -> candump::Entry
     candump::Entry { at: traced.at, interface, frame: traced.frame, direction: Some(traced.direction) }
 }
 
-/// The files of a recording, with its path: MCAP and, beside it, a candump log.
-pub(crate) fn open<'a>(outputs: &mut Outputs, path: &'a Path) -> anyhow::Result<(&'a Path, File, File)> {
+/// A recording: its path, the file in MCAP, and the candump log beside it.
+pub(crate) type Files<'a> = (&'a Path, File, Option<File>);
+
+/// The files of a recording. A cell without a CAN bus has no candump log.
+pub(crate) fn open<'a>(outputs: &mut Outputs, path: &'a Path, file: &CellFile) -> anyhow::Result<Files<'a>> {
     let mcap = outputs.open("--record", path)?;
-    Ok((path, mcap, outputs.open("--record, its candump log", &path.with_extension("log"))?))
+    let log = path.with_extension("log");
+    let has_buses = !file.cell.bus.is_empty();
+    let log = has_buses.then(|| outputs.open("--record, its candump log", &log)).transpose()?;
+    Ok((path, mcap, log))
 }
 
 /// The directory of the flight recorder, if the run has one.

@@ -160,7 +160,7 @@ pub fn run(
     let _member = requests.crew.join();
     let rows = options.record.as_deref().filter(|_| options.recording().is_none());
     let record = outputs.open_if("--record", rows)?;
-    let mut recording = Recording::open(&mut outputs, options)?;
+    let mut recording = Recording::open(&mut outputs, options, file)?;
     let steps = outputs.open_if("--steps", options.steps.as_deref())?;
     let spikes = outputs.open_if("--spikes", options.spikes.as_deref())?;
     let truth = outputs.open_if("--truth", options.truth.as_deref())?;

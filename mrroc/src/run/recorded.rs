@@ -1,7 +1,6 @@
 //! The recording of a run and its flight recorder.
 
-use std::fs::File;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::Arc;
 
 use anyhow::Context;
@@ -25,14 +24,14 @@ const ORDERS: usize = 1 << 11;
 
 /// The files of a recording, and the directory of the flight recorder.
 pub(super) struct Recording<'a> {
-    stream: Option<(&'a Path, File, File)>,
+    stream: Option<recording::Files<'a>>,
     flight: Option<PathBuf>,
 }
 
 impl<'a> Recording<'a> {
     /// Opens the files of `--record`, if the file is a recording.
-    pub(super) fn open(outputs: &mut Outputs, options: &'a RunOptions) -> anyhow::Result<Self> {
-        let stream = options.recording().map(|path| recording::open(outputs, path)).transpose()?;
+    pub(super) fn open(outputs: &mut Outputs, options: &'a RunOptions, file: &CellFile) -> anyhow::Result<Self> {
+        let stream = options.recording().map(|path| recording::open(outputs, path, file)).transpose()?;
         Ok(Self { stream, flight: None })
     }
 

@@ -17,7 +17,7 @@ use crate::setup::Devices;
 pub(super) struct Recording;
 
 impl Recording {
-    pub(super) fn open(_: &mut Outputs, _: &RunOptions) -> anyhow::Result<Self> {
+    pub(super) fn open(_: &mut Outputs, _: &RunOptions, _: &CellFile) -> anyhow::Result<Self> {
         Ok(Self)
     }
 

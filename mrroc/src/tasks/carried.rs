@@ -1,7 +1,9 @@
 //! Tasks that the `mrroc` command carries.
 
+use anyhow::bail;
 use controller::ecp::Task;
 use controller::executor::join_all;
+use controller::trajectory_file::JointConvention;
 
 use super::{Cell, Outcome, Program, Robot, teach};
 
@@ -24,13 +26,58 @@ pub enum CarriedTask {
 impl CarriedTask {
     /// The task.
     pub fn program(self) -> Program {
+        self.with(None)
+    }
+
+    /// The task with the convention of the joints of its trajectory file, in place of the parameter `joints`. Refuses a
+    /// convention for a task without such a file.
+    pub fn program_with(self, joints: Option<JointConvention>) -> anyhow::Result<Program> {
+        match (self, joints) {
+            (Self::Programs | Self::Home, Some(_)) => {
+                bail!("--joints: the task has no trajectory file: add --task replay or --task teach, or leave it out")
+            }
+            _ => Ok(self.with(joints)),
+        }
+    }
+
+    fn with(self, joints: Option<JointConvention>) -> Program {
         match self {
             Self::Programs => Program { of_file: true, ..Program::of(programs) },
             Self::Home => Program::of(home),
-            Self::Teach => Program::of(teach::teach),
-            Self::Replay => Program::of(teach::replay),
+            Self::Teach => Program::of(async move |cell: &mut Cell| teach::teach(cell, joints).await),
+            Self::Replay => Program::of(async move |cell: &mut Cell| teach::replay(cell, joints).await),
         }
     }
+}
+
+/// The task of `mrroc run` and `mrroc check`.
+#[cfg(feature = "command-line")]
+#[derive(clap::Args, Clone, Copy, Debug)]
+pub struct TaskOptions {
+    /// The task of the robots.
+    #[arg(long, value_enum, default_value_t)]
+    pub task: CarriedTask,
+    /// Meaning of the joints of upper arm and wrist pitch in the trajectory file of IRp-6 or IRb-6, in place of the
+    /// parameter `joints` of the task. Files of MRROC++ since 8 October 2010 have relative joints.
+    #[arg(long, value_name = "CONVENTION", value_parser = convention())]
+    pub joints: Option<JointConvention>,
+}
+
+#[cfg(feature = "command-line")]
+impl TaskOptions {
+    /// The task, or why it cannot have these options.
+    pub fn program(self) -> anyhow::Result<Program> {
+        self.task.program_with(self.joints)
+    }
+}
+
+/// The convention of a word of the command line.
+#[cfg(feature = "command-line")]
+pub fn convention() -> impl clap::builder::TypedValueParser<Value = JointConvention> {
+    use clap::builder::{PossibleValuesParser, TypedValueParser as _};
+
+    let words = JointConvention::ALL.map(JointConvention::keyword);
+    PossibleValuesParser::new(words).try_map(|word| JointConvention::of(&word).ok_or("no convention of joints"))
 }
 
 /// Executes the programs of the cell file, all robots at the same time.

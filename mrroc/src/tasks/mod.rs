@@ -32,6 +32,8 @@ use crate::cell::CellFile;
 
 pub use camera::Camera;
 pub use carried::CarriedTask;
+#[cfg(feature = "command-line")]
+pub use carried::{TaskOptions, convention};
 pub use cell::{Cell, Robot};
 pub use error::{Outcome, TaskError};
 pub use figures::Figures;

@@ -8,7 +8,7 @@ use controller::ecp::Class;
 use controller::generator::{Newsmooth, SmoothPose};
 use controller::robot::Space;
 use controller::sensor::Question;
-use controller::trajectory_file::{Coordinates, MOST_POSES, MotionType, TrajectoryFile};
+use controller::trajectory_file::{Coordinates, JointConvention, MOST_POSES, MotionType, TrajectoryFile};
 use serde::Deserialize;
 use servo::MAX_AXES;
 
@@ -34,6 +34,9 @@ struct Parameters {
     drives_on: bool,
     #[serde(default)]
     coordinates: Taught,
+    /// Convention of the joints in a JOINT file. A replayed file that tells its own convention needs none. A taught file
+    /// tells its convention; where absent, the joints are inclinations.
+    joints: Option<JointConvention>,
     /// Whether the teach-in replaces an existing file.
     #[serde(default)]
     replace: bool,
@@ -130,7 +133,9 @@ impl Order {
 }
 
 /// Homes the robot, records its position at each order `record` of the operator, and writes the file at `done`.
-pub(super) async fn teach(cell: &mut Cell) -> Outcome {
+///
+/// `joints` replaces the parameter of this name.
+pub(super) async fn teach(cell: &mut Cell, joints: Option<JointConvention>) -> Outcome {
     let parameters: Parameters = cell.parameters()?;
     let path = parameters.path(cell);
     let mut robot = parameters.robot(cell)?;
@@ -158,6 +163,8 @@ pub(super) async fn teach(cell: &mut Cell) -> Outcome {
             Taught::Joint => Coordinates::Joint,
             Taught::Motor => Coordinates::Motor,
         },
+        convention: joints.or(parameters.joints).unwrap_or(JointConvention::Inclination),
+        lower_arm: robot.motions().arm().robot().lower_arm(),
         axes: robot.motions().arm().axes(),
         poses: Vec::new(),
         draft: Draft::of(&path),
@@ -180,6 +187,10 @@ const EACH: usize = 1000;
 /// run loses them.
 struct TaughtPoses {
     coordinates: Coordinates,
+    /// Convention of the joints in the file.
+    convention: JointConvention,
+    /// Index of the lower arm of a robot whose joints are of one of the conventions.
+    lower_arm: Option<usize>,
     axes: usize,
     poses: Vec<SmoothPose>,
     draft: Draft,
@@ -189,7 +200,14 @@ impl TaughtPoses {
     /// The text of the trajectory file.
     fn text(&self) -> anyhow::Result<String> {
         let file = TrajectoryFile::new(self.coordinates, MotionType::Absolute, self.axes, self.poses.clone());
-        Ok(file.map_err(|error| anyhow!(error))?.to_string())
+        let file = file.map_err(|error| anyhow!(error))?;
+        Ok(if self.lower_arm.is_some() { file.telling(self.convention) } else { file }.to_string())
+    }
+
+    /// The joints in the convention of the file.
+    fn joints(&self, joints: [f64; MAX_AXES]) -> [f64; MAX_AXES] {
+        let of_file = |axis| self.convention.of_inclinations(&joints, axis, MotionType::Absolute);
+        self.lower_arm.map_or(joints, of_file)
     }
 
     /// Adds a pose and writes all of them to the draft.
@@ -253,7 +271,7 @@ async fn record(cell: &Cell, robot: &mut Robot, parameters: &Parameters, taught:
                 // With the drives off, the commanded position is the measured one.
                 let commanded = robot.image()?.commanded;
                 let position = match parameters.coordinates {
-                    Taught::Joint => commanded.joints.position,
+                    Taught::Joint => taught.joints(commanded.joints.position),
                     Taught::Motor => commanded.motors.position,
                 };
                 taught.add(parameters.pose(position), cell);
@@ -285,11 +303,11 @@ async fn displace(robot: &mut Robot, parameters: &Parameters, axis: usize, by: f
     robot.execute(Newsmooth::new(Space::Joint, motions.arm().axes(), motions.limits(), poses)?).await
 }
 
-/// Homes the robot and executes the trajectory file.
-pub(super) async fn replay(cell: &mut Cell) -> Outcome {
+/// Homes the robot and executes the trajectory file. `joints` replaces the parameter of this name.
+pub(super) async fn replay(cell: &mut Cell, joints: Option<JointConvention>) -> Outcome {
     let parameters: Parameters = cell.parameters()?;
     let mut robot = parameters.robot(cell)?;
-    let motion = robot.motions().trajectory(parameters.path(cell))?;
+    let motion = robot.motions().trajectory_of(&parameters.path(cell), joints.or(parameters.joints))?;
     robot.enable().await?;
     robot.home().await?;
     robot.execute(motion).await?;

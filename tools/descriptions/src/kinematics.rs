@@ -4,12 +4,14 @@
 //! null, and a note names the exceeded limit. Inverse kinematics returns only positions within the limits.
 
 mod answers;
+mod convert;
 mod machine;
 
 use anyhow::{Context as _, bail};
 use clap::{ArgGroup, Args, Subcommand};
 
 pub use answers::Answer;
+pub use convert::Conversion;
 pub use machine::{Machine, Which};
 
 /// The robot, and the format of the answer.
@@ -69,6 +71,12 @@ pub enum Question {
         #[arg(long, allow_hyphen_values = true)]
         joints: String,
     },
+    /// Convert a trajectory file of MRROC++ into a JOINT file of positions, which `run --task replay` executes.
+    ///
+    /// Reads files of the tool, of joints and of motors. Positions of the tool need the tool for which the file was
+    /// made: the default tool of MRROC++ is --tool 0,0,0.25 for the IRp-6, with the base at the shoulder. Of several
+    /// solutions of the inverse kinematics, the nearest to the previous pose is taken.
+    Convert(Conversion),
     /// Ranges of joints and motors; null if unlimited.
     Limits {
         /// The robot, and the format of the answer.
@@ -82,7 +90,8 @@ impl Question {
         let (Self::Fk { common, .. }
         | Self::Ik { common, .. }
         | Self::Jacobian { common, .. }
-        | Self::Limits { common }) = self;
+        | Self::Limits { common }
+        | Self::Convert(Conversion { common, .. })) = self;
         common
     }
 
@@ -116,5 +125,6 @@ pub fn kinematics(question: &Question) -> anyhow::Result<Answer> {
         }
         Question::Jacobian { joints, .. } => Answer::jacobian(machine, &machine.vector("--joints", joints)?),
         Question::Limits { .. } => Ok(Answer::limits(machine)),
+        Question::Convert(conversion) => Ok(Answer::converted(machine, &convert::convert(machine, conversion)?)),
     }
 }

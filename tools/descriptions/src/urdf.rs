@@ -1,12 +1,18 @@
 //! `mrroc urdf`: a robot in the Unified Robot Description Format, generated from its kinematic parameters.
 //!
-//! The links are those of `base_from_flange`, and each is drawn as a rod. The description contains no masses. A viewer
-//! needs none, and a library of rigid bodies assumes zero.
+//! The links are those of `base_from_flange`. Each is drawn as a rod and a drum, which are its collision shape as well.
+//! Masses are the nominal ones of the model, or those of the cell. Velocities and efforts follow from the motors.
+//!
+//! The description of a robot of a cell has the name of the robot before the names of its links and joints, so that
+//! the descriptions of several robots have no name in common.
 //!
 //! A robot of a cell with a scene stands on the link `world`, the frame of the cell in metres with z upward. The planes,
 //! blocks, conveyors, objects, bars, workpieces and light gates of the scene are boxes fixed to this link.
 
+mod dynamics;
 mod scene;
+#[cfg(test)]
+mod tests;
 
 use std::fmt::{self, Write as _};
 
@@ -16,9 +22,12 @@ use mrroc::cell::{CellFile, EmulatedScene, Parameters};
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 
 use crate::kinematics::{Machine, Which};
+use dynamics::{JointRating, inertial};
 
 /// Radius of the rod between two joints, m.
 const ROD: f64 = 0.03;
+/// Mass of a link without one of its own, kg: simulators refuse a moving link without a mass.
+const LEAST: f64 = 0.01;
 /// Radius and length of the drum at a joint, m.
 const DRUM: (f64, f64) = (0.045, 0.09);
 
@@ -28,8 +37,10 @@ pub fn urdf(which: &Which) -> anyhow::Result<String> {
     let links = machine.robot.links();
     ensure!(!links.is_empty(), "{}: no serial arm, and no description of one", machine.name);
     let around = surroundings(which)?;
+    let ratings = dynamics::ratings(&machine, &links)?;
     let mut text = String::new();
-    write(&mut text, &machine, &links, around.as_ref()).context("the description cannot be written")?;
+    write(&mut text, &machine, (&links[..], &ratings[..]), around.as_ref())
+        .context("the description cannot be written")?;
     Ok(text)
 }
 
@@ -47,17 +58,17 @@ fn surroundings(which: &Which) -> anyhow::Result<Option<(EmulatedScene, Isometry
 fn write(
     text: &mut String,
     machine: &Machine,
-    links: &[Link],
+    (links, ratings): (&[Link], &[JointRating]),
     around: Option<&(EmulatedScene, Isometry3<f64>)>,
 ) -> fmt::Result {
     writeln!(text, "<?xml version=\"1.0\"?>")?;
-    writeln!(
-        text,
-        "<!-- Kinematics only, metres and radians: no masses, and efforts and velocities of 0 for unknown. -->"
-    )?;
+    writeln!(text, "<!-- Metres, radians, kilograms. {}", machine.source)?;
+    writeln!(text, "     Masses are nominal unless the cell states them; a link without a mass has {LEAST} kg.")?;
+    writeln!(text, "     Inertia is that of a solid cylinder of the drawn size. Shapes are rods and drums. -->")?;
     if let Some(caution) = machine.caution {
         writeln!(text, "<!-- Mind: {caution}. -->")?;
     }
+    let prefix = &machine.prefix;
     if let Some(legs) = machine.leg_ends() {
         writeln!(
             text,
@@ -65,37 +76,39 @@ fn write(
         )?;
         for [base, platform] in legs {
             let [from, to] = [base, platform].map(|point| triple(&point));
-            writeln!(text, "     from {from} on base_link to {to} on rho_link")?;
+            writeln!(text, "     from {from} on {prefix}base_link to {to} on {prefix}rho_link")?;
         }
         writeln!(text, "-->")?;
     }
     writeln!(text, "<robot name=\"{}\">", escaped(&machine.name))?;
     match (around, machine.parameters) {
-        (Some((scene, world_from_base)), _) => scene::write(text, scene, world_from_base)?,
-        (None, Parameters::Polycrank(_)) => mounting(text)?,
+        (Some((scene, world_from_base)), _) => scene::write(text, prefix, scene, world_from_base)?,
+        (None, Parameters::Polycrank(_)) => mounting(text, prefix)?,
         (None, _) => {}
     }
     let rods = links.first().map(|link| rod(&link.parent_from_link.translation.vector));
-    body(text, "base_link", &[rods.flatten()])?;
+    body(text, &format!("{prefix}base_link"), &[rods.flatten()], None)?;
     for (number, link) in links.iter().enumerate() {
         let onwards = links.get(number + 1).map(|next| rod(&next.parent_from_link.translation.vector));
-        let visuals = [Some(drum(link)), onwards.flatten(), slide(link)];
-        body(text, &format!("{}_link", link.name), &visuals)?;
+        let parts = [Some(drum(link)), onwards.flatten(), slide(link)];
+        let mass = machine.masses.get(number).map(|mass| inertial(mass, parts.iter().flatten()));
+        body(text, &format!("{prefix}{}_link", link.name), &parts, mass)?;
     }
-    body(text, "flange", &[])?;
-    let mut parent = "base_link".to_owned();
-    for link in links {
-        joint(text, link, &parent)?;
-        parent = format!("{}_link", link.name);
+    let load = (machine.load.mass > 0.0).then(|| inertial(&machine.load, std::iter::empty()));
+    body(text, &format!("{prefix}flange"), &[], load)?;
+    let mut parent = format!("{prefix}base_link");
+    for (link, rating) in links.iter().zip(ratings) {
+        joint(text, (link, rating), prefix, &parent)?;
+        parent = format!("{prefix}{}_link", link.name);
     }
-    writeln!(text, "  <joint name=\"flange_joint\" type=\"fixed\">")?;
-    writeln!(text, "    <parent link=\"{parent}\"/>\n    <child link=\"flange\"/>\n  </joint>\n</robot>")
+    writeln!(text, "  <joint name=\"{prefix}flange_joint\" type=\"fixed\">")?;
+    writeln!(text, "    <parent link=\"{parent}\"/>\n    <child link=\"{prefix}flange\"/>\n  </joint>\n</robot>")
 }
 
 /// The floor under a base whose z axis is horizontal. The x axis of the base points up, and its z axis lies along the y
 /// axis of the floor. The height is from published code. The direction of axis 1 is a choice of this description and
 /// only shifts the zero of joint 1.
-fn mounting(text: &mut String) -> fmt::Result {
+fn mounting(text: &mut String, prefix: &str) -> fmt::Result {
     const HEIGHT: f64 = 0.925;
     let floor_from_base = Matrix3::new(
         0.0, 1.0, 0.0, //
@@ -105,17 +118,17 @@ fn mounting(text: &mut String) -> fmt::Result {
     let rotation = Rotation3::from_matrix_unchecked(floor_from_base);
     let floor_from_base =
         Isometry3::from_parts(Translation3::new(0.0, 0.0, HEIGHT), UnitQuaternion::from_rotation_matrix(&rotation));
-    body(text, "floor", &[])?;
+    body(text, &format!("{prefix}floor"), &[], None)?;
     writeln!(text, "  <!-- Axis 1 is level, along y of the floor; base_link is the frame of base_from_flange. -->")?;
-    writeln!(text, "  <joint name=\"mounting\" type=\"fixed\">")?;
+    writeln!(text, "  <joint name=\"{prefix}mounting\" type=\"fixed\">")?;
     writeln!(
         text,
-        "    <parent link=\"floor\"/>\n    <child link=\"base_link\"/>\n    {}\n  </joint>",
+        "    <parent link=\"{prefix}floor\"/>\n    <child link=\"{prefix}base_link\"/>\n    {}\n  </joint>",
         origin(&floor_from_base)
     )
 }
 
-fn joint(text: &mut String, link: &Link, parent: &str) -> fmt::Result {
+fn joint(text: &mut String, (link, rating): (&Link, &JointRating), prefix: &str, parent: &str) -> fmt::Result {
     let kind = match link.kind {
         LinkKind::Revolute => "revolute",
         LinkKind::Continuous => "continuous",
@@ -129,16 +142,18 @@ fn joint(text: &mut String, link: &Link, parent: &str) -> fmt::Result {
     }
     writeln!(
         text,
-        "  <joint name=\"{name}\" type=\"{kind}\">\n    \
-             <parent link=\"{parent}\"/>\n    <child link=\"{name}_link\"/>\n    \
+        "  <joint name=\"{prefix}{name}\" type=\"{kind}\">\n    \
+             <parent link=\"{parent}\"/>\n    <child link=\"{prefix}{name}_link\"/>\n    \
              {}\n    <axis xyz=\"{}\"/>",
         origin(&link.parent_from_link),
         triple(&link.axis)
     )?;
-    if link.kind != LinkKind::Continuous {
-        let (low, high) = (link.limits.low, link.limits.high);
-        writeln!(text, "    <limit lower=\"{low}\" upper=\"{high}\" effort=\"0\" velocity=\"0\"/>")?;
-    }
+    let range = match link.kind {
+        LinkKind::Continuous => String::new(),
+        _ => format!("lower=\"{}\" upper=\"{}\" ", link.limits.low, link.limits.high),
+    };
+    let JointRating { effort, velocity } = rating;
+    writeln!(text, "    <limit {range}effort=\"{effort:.6}\" velocity=\"{velocity:.6}\"/>")?;
     writeln!(text, "  </joint>")
 }
 
@@ -149,15 +164,18 @@ struct Cylinder {
     length: f64,
 }
 
-fn body(text: &mut String, name: &str, visuals: &[Option<Cylinder>]) -> fmt::Result {
+/// A link with its parts, which are drawn and collide, and with its text of mass and inertia.
+fn body(text: &mut String, name: &str, parts: &[Option<Cylinder>], inertial: Option<String>) -> fmt::Result {
     writeln!(text, "  <link name=\"{name}\">")?;
-    for Cylinder { link_from_cylinder, radius, length } in visuals.iter().flatten() {
+    text.push_str(&inertial.unwrap_or_default());
+    for Cylinder { link_from_cylinder, radius, length } in parts.iter().flatten() {
+        let place = origin(link_from_cylinder);
+        let shape = format!("<geometry><cylinder radius=\"{radius}\" length=\"{length}\"/></geometry>");
         writeln!(
             text,
-            "    <visual>\n      {}\n      \
-                 <geometry><cylinder radius=\"{radius}\" length=\"{length}\"/></geometry>\n      \
-                 <material name=\"grey\"><color rgba=\"0.6 0.6 0.65 1\"/></material>\n    </visual>",
-            origin(link_from_cylinder)
+            "    <visual>\n      {place}\n      {shape}\n      \
+                 <material name=\"grey\"><color rgba=\"0.6 0.6 0.65 1\"/></material>\n    </visual>\n    \
+             <collision>\n      {place}\n      {shape}\n    </collision>"
         )?;
     }
     writeln!(text, "  </link>")
@@ -219,7 +237,9 @@ fn escaped(name: &str) -> String {
 }
 
 #[cfg(test)]
-mod tests {
+mod geometry_tests {
+    //! Rotations and rods.
+
     use std::f64::consts::FRAC_PI_2;
 
     use super::*;

@@ -3,6 +3,7 @@
 use std::fmt::Write as _;
 use std::mem::discriminant;
 
+use controller::robot::RobotParameters as _;
 use mrroc::cell::Model;
 
 use crate::kinematics::Machine;
@@ -63,6 +64,7 @@ pub(crate) fn sheet(machine: &Machine) -> String {
         );
         lines(&mut page, &described_as, &presets, |of| &of.drives);
     }
+    links(&mut page, machine);
     // The values in the table are copied from results of `mrroc identify`.
     let _ = write!(
         page,
@@ -83,6 +85,41 @@ pub(crate) fn sheet(machine: &Machine) -> String {
          `mrroc datasheet --robot {name}` prints this page, with `--figure` its figure.\n"
     );
     page
+}
+
+/// Adds the table of links and motors, from which descriptions compute inertia, velocities and efforts. A row that
+/// differs from that of the model is tagged as set in the cell file.
+fn links(page: &mut String, machine: &Machine) {
+    let links = machine.robot.links();
+    if links.is_empty() {
+        return;
+    }
+    page.push_str(
+        "## Links and motors\n\nNumbers of `mrroc urdf` and of the weight of the arm. Centres of mass are in the frame of \
+         the link.\n\n\
+         | link | mass, kg | centre, m | motor velocity, rad/s | motor torque, N·m | tag | source |\n\
+         |---|--:|---|--:|--:|---|---|\n",
+    );
+    let (masses, motors) = mrroc::each_robot!(machine.parameters, it => (it.masses(), it.motors()));
+    for (number, link) in links.iter().enumerate() {
+        let (mass, motor) = (machine.masses.get(number), machine.motors.get(number));
+        let (Some(of_link), Some(of_motor)) = (mass, motor) else {
+            continue;
+        };
+        let [x, y, z] = of_link.centre;
+        let is_of_model = mass == masses.get(number) && motor == motors.get(number);
+        let tag = if is_of_model { Tag::Nominal } else { Tag::CellFile };
+        let _ = writeln!(
+            page,
+            "| {} | {} | {x}, {y}, {z} | {} | {} | {} |",
+            link.name,
+            of_link.mass,
+            of_motor.velocity,
+            of_motor.torque,
+            tag.cells()
+        );
+    }
+    page.push('\n');
 }
 
 impl Tag {

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::fmt;
 
 use controller::robot::{Joints, KinematicsError, Limits, Link, Singularity, Solutions, Space};
+use controller::trajectory_file::TrajectoryFile;
 use serde::Serialize;
 
 use super::Machine;
@@ -42,7 +43,7 @@ enum Values {
         motor_angles: Option<Vec<f64>>,
         /// Position of each joint, rad or m, by its link's name in the URDF of the robot.
         #[serde(skip_serializing_if = "BTreeMap::is_empty")]
-        links: BTreeMap<&'static str, f64>,
+        links: BTreeMap<String, f64>,
     },
     Inverse {
         /// Joint positions of each solution, rad or m, the nearest to `--near` first.
@@ -52,6 +53,10 @@ enum Values {
         /// Three rows for linear and three for angular velocity; one column per joint.
         jacobian: [Vec<f64>; 6],
         singularity: Singularity,
+    },
+    Converted {
+        /// The text of the trajectory file.
+        trajectory: String,
     },
     Limits {
         joints: Vec<Limits>,
@@ -93,8 +98,12 @@ impl Answer {
             motors
         });
         let links = machine.robot.links();
-        let position =
-            |link: &Link| (link.name, joints.iter().zip(link.coupling).map(|(joint, factor)| factor * joint).sum());
+        let position = |link: &Link| {
+            (
+                format!("{}{}", machine.prefix, link.name),
+                joints.iter().zip(link.coupling).map(|(joint, factor)| factor * joint).sum(),
+            )
+        };
         let q = pose.rotation;
         let values = Values::Forward {
             joints: joints.to_vec(),
@@ -123,6 +132,11 @@ impl Answer {
         let values =
             Values::Jacobian { jacobian: std::array::from_fn(row), singularity: machine.robot.singularity(joints)? };
         Ok(Self::of(machine, values))
+    }
+
+    /// A converted trajectory file.
+    pub(super) fn converted(machine: &Machine, file: &TrajectoryFile) -> Self {
+        Self::of(machine, Values::Converted { trajectory: file.to_string() })
     }
 
     /// Permitted ranges of joints and motors.
@@ -172,6 +186,8 @@ impl fmt::Display for Answer {
                 }
                 writeln!(f, "smallest singular value {margin:.9}, of axis {axis}")?;
             }
+            // Notes would be lines of the file.
+            Values::Converted { trajectory } => return f.write_str(trajectory),
             Values::Limits { joints, motors, motor_angles } => {
                 ranges(f, "joint", "", joints)?;
                 if motor_angles.is_some() {

@@ -5,11 +5,13 @@ use std::sync::Arc;
 
 use anyhow::{Context as _, anyhow, ensure};
 use clap::Args;
-use controller::robot::{Joints, Limits, Motors, Rnt, RntParameters, Robot, Vector};
+use controller::robot::{
+    Arm, Joints, Limits, Mass, MotorRating, Motors, Pose, Rnt, RntParameters, Robot, RobotParameters as _, Vector,
+};
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
 
 use crate::robots::described;
-use mrroc::cell::{CellFile, Model, Parameters};
+use mrroc::cell::{self, Axis, CellFile, Model, Parameters};
 
 /// Tolerance of the norm of a quaternion.
 const NORM: f64 = 0.01;
@@ -35,29 +37,71 @@ pub struct Machine {
     pub parameters: Parameters,
     /// Warning about the numbers.
     pub caution: Option<&'static str>,
+    /// What stands before the names of links and joints: the name of a robot of a cell.
+    pub(crate) prefix: String,
+    /// Masses of the links.
+    pub(crate) masses: Vec<Mass>,
+    /// Load at the flange.
+    pub(crate) load: Mass,
+    /// What the motors can do.
+    pub(crate) motors: Vec<MotorRating>,
+    /// Where the velocities and efforts come from.
+    pub(crate) source: &'static str,
+    /// Place of the tool in the frame of the flange, m.
+    pub(crate) tool: [f64; 3],
 }
 
 impl Machine {
     /// Finds a robot by name: a model, or a robot of a cell.
     pub fn find(Which { robot, cell }: &Which) -> anyhow::Result<Self> {
-        let parameters = match cell {
-            None => preset(robot)?,
-            Some(cell) => {
-                let file = CellFile::read(cell)?;
-                let found = file.cell.robot.iter().find(|candidate| candidate.name == *robot);
-                let found = found.ok_or_else(|| {
-                    let names = file.cell.robot.iter().map(|robot| robot.name.as_str());
-                    unknown(&format!("{} has no robot", cell.display()), robot, names)
-                })?;
-                found.parameters.unwrap_or_else(|| found.model.parameters())
-            }
+        let Some(path) = cell else {
+            return Self::of(robot.clone(), preset(robot)?);
         };
+        let file = CellFile::read(path)?;
+        let found = file.cell.robot.iter().find(|candidate| candidate.name == *robot);
+        let found = found.ok_or_else(|| {
+            let names = file.cell.robot.iter().map(|robot| robot.name.as_str());
+            unknown(&format!("{} has no robot", path.display()), robot, names)
+        })?;
+        Self::of(robot.clone(), found.parameters.unwrap_or_else(|| found.model.parameters()))
+            .map(|of| of.in_cell(found))
+    }
+
+    /// The machine of a model.
+    fn of(name: String, parameters: Parameters) -> anyhow::Result<Self> {
         Ok(Self {
-            name: robot.clone(),
+            name,
             robot: parameters.kinematics()?,
             caution: described(&parameters).caution,
+            prefix: String::new(),
+            masses: mrroc::each_robot!(parameters, it => it.masses()).to_vec(),
+            load: Mass::default(),
+            motors: mrroc::each_robot!(parameters, it => it.motors()).to_vec(),
+            source: "Velocities and efforts are those of the model's motors (nominal).",
+            tool: [0.0; 3],
             parameters,
         })
+    }
+
+    /// The machine with what the cell states of it.
+    fn in_cell(self, robot: &cell::Robot) -> Self {
+        let weights = robot.weight.as_ref();
+        Self {
+            prefix: format!("{}_", robot.name),
+            masses: weights.and_then(|weights| weights.masses.clone()).unwrap_or(self.masses),
+            load: weights.map_or_else(Mass::default, |weights| weights.load),
+            motors: robot.axis.iter().map(Axis::motor_rating).collect(),
+            source: "Velocities and efforts are those of the cell: max_velocity, and rated_torque of a drive (or its \
+                     object 0x6072) or max_current of an axis controller.",
+            tool: robot.tool,
+            ..self
+        }
+    }
+
+    /// The robot with a tool at this place of the flange; the tool of the cell where absent.
+    pub(super) fn arm(&self, tool: Option<[f64; 3]>) -> Arm {
+        let [x, y, z] = tool.unwrap_or(self.tool);
+        Arm::new(Arc::clone(&self.robot), Pose::translation(x, y, z))
     }
 
     /// Joint positions from a list of motor positions. The first three motors of the RNT are given by their leg
@@ -125,7 +169,7 @@ fn list(option: &str, text: &str) -> anyhow::Result<Vec<f64>> {
     text.split(',').map(number).collect()
 }
 
-fn exactly<const N: usize>(option: &str, text: &str, form: &str) -> anyhow::Result<[f64; N]> {
+pub(super) fn exactly<const N: usize>(option: &str, text: &str, form: &str) -> anyhow::Result<[f64; N]> {
     let numbers = list(option, text)?;
     let count = numbers.len();
     numbers.try_into().map_err(|_| anyhow!("{option}: {count} numbers, not the {N} of {form}"))

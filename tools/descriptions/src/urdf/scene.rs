@@ -37,17 +37,29 @@ struct Shape {
 /// Writes the link `world`, the frame of the cell with z upward, the fixed joint from this link to `base_link`, and one
 /// link with a fixed joint for each plane, block, conveyor, object, bar, workpiece and beam of a light gate. Bodies that
 /// move stand where they begin.
-pub(super) fn write(text: &mut String, scene: &EmulatedScene, world_from_base: &Isometry3<f64>) -> fmt::Result {
+///
+/// The joint of the base and `base_link` have the prefix of the robot. Beams of light do not collide.
+pub(super) fn write(
+    text: &mut String,
+    prefix: &str,
+    scene: &EmulatedScene,
+    world_from_base: &Isometry3<f64>,
+) -> fmt::Result {
     writeln!(text, "  <!-- The scene of the cell. Planes without end are drawn {} m long and wide. -->", PLANE.0)?;
     writeln!(text, "  <link name=\"world\"/>")?;
-    fixed(text, "base", "base_link", world_from_base)?;
-    for Shape { name, world_from_box, size: [x, y, z], colour: (colour, rgba) } in shapes(scene) {
+    fixed(text, &format!("{prefix}base"), &format!("{prefix}base_link"), world_from_base)?;
+    for Shape { name, world_from_box, size: [x, y, z], colour } in shapes(scene) {
+        let shape = format!("<geometry><box size=\"{x} {y} {z}\"/></geometry>");
+        let (named, rgba) = colour;
         writeln!(
             text,
-            "  <link name=\"{name}\">\n    <visual>\n      \
-                 <geometry><box size=\"{x} {y} {z}\"/></geometry>\n      \
-                 <material name=\"{colour}\"><color rgba=\"{rgba}\"/></material>\n    </visual>\n  </link>"
+            "  <link name=\"{name}\">\n    <visual>\n      {shape}\n      \
+                 <material name=\"{named}\"><color rgba=\"{rgba}\"/></material>\n    </visual>"
         )?;
+        if colour != LIGHT {
+            writeln!(text, "    <collision>\n      {shape}\n    </collision>")?;
+        }
+        writeln!(text, "  </link>")?;
         fixed(text, &name, &name, &world_from_box)?;
     }
     Ok(())
