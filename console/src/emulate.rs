@@ -59,7 +59,7 @@ pub(crate) struct Options {
     #[arg(long, value_name = "FILE")]
     scenario: Option<PathBuf>,
     /// Read faults from standard input, one per line: the kind, then KEY=VALUE as in a scenario file, for example
-    /// `lost axis=irb6/column duration=0.1`. The faults begin at once, and have no `at`, `cycle` and `when`.
+    /// `lost axis=irb6.column duration=0.1`. The faults begin at once, and have no `at`, `cycle` and `when`.
     #[arg(long)]
     live: bool,
 }

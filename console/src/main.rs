@@ -124,7 +124,7 @@ enum Command {
     Eds {
         /// The cell file.
         cell: PathBuf,
-        /// The axis: ROBOT/AXIS, the axis's name, or its node-ID.
+        /// The axis: ROBOT.AXIS, the axis's name, or its node-ID.
         axis: String,
     },
     /// Measure the loop of one axis: frequency response, crossover and phase margin. Homes the robot on the emulated

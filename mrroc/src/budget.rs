@@ -341,8 +341,8 @@ fn what_fits(bitrate: Bitrate, period: Duration, messages: &[Message], axes: &[A
         let kept = |message: &&Message| node_of(message).is_none_or(|node| !gone.contains(&node));
         messages.iter().filter(kept).copied().collect()
     };
-    let most = (0..axes.len()).rev().find(|&count| fits(&without(count), period));
-    let axes = most.map(|most| format!("{most} axes would fit"));
+    let most = (1..axes.len()).rev().find(|&count| fits(&without(count), period));
+    let axes = most.map(|most| if most == 1 { "1 axis would fit".into() } else { format!("{most} axes would fit") });
     let shortest = (1..=1000).map(Duration::from_millis).find(|&period| fits(messages, period));
     let period = shortest.map(|period| format!("a period of {} ms", period.as_millis()));
     let proposals: Vec<_> = axes.into_iter().chain(period).chain(["more buses".to_owned()]).collect();

@@ -56,7 +56,7 @@ fn a_loop_is_measured_over_the_ttys_of_another_process() {
     by_the_clock(PROCESSORS, PERIOD, || {
         let run = hardware();
         assert_ne!(run.status.code(), Some(0), "{run:?}");
-        assert!(run.stderr.contains("irb6/column: the robot is not homed"), "{run:?}");
+        assert!(run.stderr.contains("irb6.column: the robot is not homed"), "{run:?}");
     });
     by_the_clock(PROCESSORS, PERIOD, || measured(&on("vcan", &[]), "vcan", is_serial_column));
     by_the_clock(PROCESSORS, PERIOD, || measured(&hardware(), "card", is_serial_column));

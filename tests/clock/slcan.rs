@@ -109,6 +109,8 @@ fn service_commands_reach_drives_behind_an_adapter() {
     assert_eq!(found.lines().count(), 2, "{found}");
     assert!(found.starts_with("node 3: CiA 402, servo drive"), "{found}");
 
+    // A read of this object shows what the node can store.
+    assert_eq!(adapter.says("sdo write 7 0x1010:1 --type u32 0x65766173"), "");
     let wrote = adapter.says("sdo write 7 0x1017 --type u16 50");
     assert_eq!(wrote, "0x1017:00 heartbeat producer time = 0x0032, 50\n");
     // Segmented transfer.
@@ -156,6 +158,9 @@ fn a_bit_rate_that_is_not_the_buss_is_silence_and_one_that_slcan_lacks_is_refuse
     let wrong = adapter.run("scan --bitrate-kbps 500");
     assert_eq!(wrong.status.code(), Some(2), "{wrong:?}");
     assert!(wrong.stderr.to_lowercase().contains("wrong bit rate"), "{wrong:?}");
+    let unheard = adapter.run("lss scan --bitrate-kbps 500");
+    assert_eq!(unheard.status.code(), Some(1), "{unheard:?}");
+    assert!(unheard.stderr.to_lowercase().contains("wrong bit rate"), "{unheard:?}");
     let lacking = adapter.run("scan --bitrate-kbps 40");
     assert_eq!(lacking.status.code(), Some(2), "{lacking:?}");
     assert!(lacking.stderr.contains("slcan has no 40 kbit/s"), "{lacking:?}");

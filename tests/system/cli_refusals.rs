@@ -163,6 +163,9 @@ fn options_that_contradict_each_other_are_refused() {
         (&["--bench=vcan", "--set-bitrate"], "--bench card"),
         (&["--bench=lockstep", "--trace=/no/such/place.log"], "/no/such/place.log"),
         (&["--bench=lockstep", "--record=/no/such/place.csv"], "/no/such/place.csv"),
+        (&["--bench=lockstep", "--speed=1e-9"], "at least 0.1 and at most 100"),
+        (&["--bench=lockstep", "--speed=101"], "at least 0.1 and at most 100"),
+        (&["--bench=lockstep", "--carved=/tmp"], "--carved needs a workpiece"),
     ];
     for (options, needle) in cases {
         let arguments = ["run".as_ref(), cell.as_os_str()];

@@ -53,7 +53,7 @@ fn sdo(trace: &[candump::Entry]) -> Vec<String> {
 #[test]
 fn the_published_data_sheet_is_the_one_the_command_prints() {
     let cell = example("irb6");
-    for axis in ["irb6/column", "column", "1"] {
+    for axis in ["irb6.column", "irb6/column", "column", "1"] {
         let printed = mrroc(["eds".as_ref(), cell.as_os_str(), axis.as_ref()]);
         assert_eq!(printed.status.code(), Some(0), "{printed:?}");
         assert!(
@@ -63,7 +63,10 @@ fn the_published_data_sheet_is_the_one_the_command_prints() {
     }
     Eds::read(sheet().as_bytes()).unwrap();
     let nobody = mrroc(["eds".as_ref(), cell.as_os_str(), "elbow".as_ref()]);
-    refused(&nobody, &["no axis is called \"elbow\"", "irb6/column (node 1)"]);
+    refused(&nobody, &["no axis is called \"elbow\"", "irb6.column (node 1)"]);
+    // The column of the IRb-6 is on a serial line.
+    let two = mrroc(["eds".as_ref(), example("lab").as_os_str(), "column".as_ref()]);
+    refused(&two, &["more than one axis is called \"column\"", "irp6-track.column (node"]);
 }
 
 #[test]

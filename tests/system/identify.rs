@@ -34,10 +34,10 @@ fn the_loops_of_every_family_are_shaped_as_documented() {
     let (velocity, torque) = (by_host(0, DriveControl::Velocity), by_host(1, DriveControl::Torque));
     // Crossover, Hz, and phase margin, degrees: values of the table in `servo::identify`.
     let cases = [
-        (example("irb6-serial"), "irb6/column", 16.4, 48.0),
-        (example("irb6-serial"), "irb6/wrist-roll", 15.8, 48.5),
-        (velocity, "irb6/column", 8.5, 82.0),
-        (torque, "irb6/column", 11.0, 47.0),
+        (example("irb6-serial"), "irb6.column", 16.4, 48.0),
+        (example("irb6-serial"), "irb6.wrist-roll", 15.8, 48.5),
+        (velocity, "irb6.column", 8.5, 82.0),
+        (torque, "irb6.column", 11.0, 47.0),
         (example("irp6-track"), "track", 45.7, 37.8),
         (example("polycrank"), "q6", 45.3, 41.9),
     ];
@@ -150,14 +150,15 @@ fn the_files_hold_what_the_report_says_and_the_same_each_time() {
 
 #[test]
 fn what_cannot_be_measured_is_refused_before_anything_moves() {
-    let cases: [(&[&str], &[&str]); 11] = [
-        (&["--axis", "nobody"], &["no axis is called \"nobody\"", "irb6/column"]),
+    let cases: [(&[&str], &[&str]); 12] = [
+        (&["--axis", "nobody"], &["no axis is called \"nobody\"", "irb6.column"]),
         (&["--axis", "column", "--amplitude", "0.2"], &["--amplitude 0.2", "at most 0.1050"]),
         (&["--axis", "column", "--amplitude", "NaN"], &["--amplitude NaN"]),
         (&["--axis", "column", "--at=command", "--amplitude", "0.4"], &["rad/s² is beyond the limit of 1500"]),
         (&["--axis", "column", "--velocity", "251"], &["--velocity 251", "250"]),
-        (&["--axis", "irb6/lower-arm", "--velocity", "100"], &["has room for", "lower --velocity"]),
+        (&["--axis", "irb6.lower-arm", "--velocity", "100"], &["has room for", "lower --velocity"]),
         (&["--axis", "column", "--drive-period", "2001"], &["--drive-period 2001", "at most the 2000 µs"]),
+        (&["--axis", "column", "--drive-period", "0"], &["--drive-period 0", "above 0"]),
         (&["--axis", "column", "--from", "1"], &["the lowest frequency is 2 Hz"]),
         (&["--axis", "column", "--periods", "1"], &["two at least"]),
         (&["--axis", "column", "--bench", "card"], &["--moves-hardware"]),

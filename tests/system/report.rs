@@ -66,9 +66,11 @@ fn the_page_of_a_run_is_one_file_that_loads_nothing() {
         nodes.filter(move |node| node.has_tag_name(name))
     };
     let cells: Vec<_> = named("td").filter_map(|cell| cell.text()).collect();
-    for text in ["irb6", "tool", "column", "wrist-roll", "wake-up", "arm"] {
+    for text in ["irb6", "tool", "column", "wrist-roll", "bus", "arm"] {
         assert!(cells.contains(&text), "{text}: {cells:?}");
     }
+    // Virtual time has no delays.
+    assert!(!cells.contains(&"wake-up"), "{cells:?}");
     let title = |svg: roxmltree::Node| {
         let title = svg.first_element_child().filter(|it| it.has_tag_name("title"));
         title.and_then(|title| title.text()).map(str::to_owned)
@@ -101,4 +103,24 @@ fn the_figure_of_the_example_run_is_what_the_run_draws() {
     written.unwrap_or_else(|error| panic!("{}: {error}", new.display()));
     let [new, kept] = [&new, &kept].map(|path: &std::path::PathBuf| Path::display(path));
     panic!("docs/run.svg is out of date: cp {new} {kept}");
+}
+
+#[test]
+fn errors_of_a_bus_are_counted_and_told() {
+    let directory = Directory::new();
+    let scenario = "[[fault]]\nwhen = \"cruising\"\nkind = \"bus-off\"\nbus = \"arm\"\n";
+    let scenario = directory.write("scenario.toml", scenario);
+    let cell = example("irb6");
+    let run = |json: &[&str]| {
+        let words = ["run".as_ref(), cell.as_os_str(), "--bench=lockstep".as_ref(), "--scenario".as_ref()];
+        let run = mrroc(words.into_iter().chain([scenario.as_os_str()]).chain(json.iter().map(|word| word.as_ref())));
+        assert_eq!(run.status.code(), Some(1), "{run:?}");
+        run
+    };
+    let told = run(&[]);
+    let warning = "\nwarning: bus arm: 1 error frames, error passive 0 times, bus off 1 times: check bit rate";
+    assert!(told.stdout.contains(warning), "{told:?}");
+    let bus = &run(&["--json"]).json()["buses"][0];
+    assert_eq!((&bus["errors"], &bus["error_passive"], &bus["bus_off"]), (&1.into(), &0.into(), &1.into()));
+    assert_eq!(lockstep("irb6", &["--json"]).json()["buses"][0]["errors"], 0);
 }

@@ -30,12 +30,16 @@ fn three_taught_positions_are_replayed_to_the_same_end() {
     let cell = cell(&directory, "file = 'poses.trj'\nvelocity = 0.5\nacceleration = 0.5");
     let records = ["teach", "replay"].map(|task| directory.path(&format!("{task}.csv")));
     let [teaching, replaying] = records.each_ref().map(|path| path.to_str().unwrap());
-    let run = teach_in_lockstep(&cell, &ORDERS, &["--json", "--record", teaching]);
+    let out = directory.path("out");
+    let options = ["--json", "--record", teaching, "--out", out.to_str().unwrap()];
+    let run = teach_in_lockstep(&cell, &ORDERS, &options);
     assert_eq!(run.status.code(), Some(0), "{run:?}");
     assert_eq!(run.json()["figures"]["poses"], 3.0, "{run:?}");
     assert!(run.stderr.contains("mrroc: irb6: record, move AXIS BY, or done?\n"), "{run:?}");
     assert!(run.stderr.contains("poses.trj: 3 poses\n"), "{run:?}");
     taught(&directory.path("poses.trj"));
+    let page = fs::read_to_string(out.join("report.html")).unwrap();
+    assert!(page.contains("<li>poses: 3.0000</li>"), "{page}");
 
     let run = mrroc(arguments(&cell, "replay", &["--bench=lockstep", "--record", replaying]));
     assert_eq!(run.status.code(), Some(0), "{run:?}");

@@ -107,8 +107,16 @@ enum Activity {
     Arriving,
     /// Waits for the report from the last macrostep, which ends in motion. A stop follows.
     RunningOut,
-    /// Waits for standstill. `since`: time of the stop, `None` until its order is sent. `outcome`: result afterwards.
-    Stopping { since: Option<Instant>, outcome: Result<(), EcpError> },
+    /// Waits for standstill. `outcome`: result afterwards.
+    Stopping { order: StopOrder, outcome: Result<(), EcpError> },
+}
+
+/// The order of a stop.
+enum StopOrder {
+    /// In the outbox, found there first at this time.
+    Waiting(Option<Instant>),
+    /// Sent at this time, or given by the servo itself.
+    Sent(Instant),
 }
 
 /// Effector control process of one effector. See the [module](self).
@@ -426,8 +434,8 @@ impl Ecp {
         let room = self.link.orders.write_chunk_uninit(count).expect("the queue has this many slots");
         room.fill_from_iter(self.outbox.drain(..count));
         self.heard = now;
-        if let (true, Activity::Stopping { since, .. }) = (stopping, &mut self.activity) {
-            *since = Some(now);
+        if let (true, Activity::Stopping { order, .. }) = (stopping, &mut self.activity) {
+            *order = StopOrder::Sent(now);
         }
     }
 
@@ -563,11 +571,11 @@ impl Ecp {
                 outcome
             }
             Activity::Running(_) | Activity::Arriving | Activity::RunningOut => self.advance_motion(now),
-            Activity::Stopping { since: None, .. } => {
-                let waited = now.since(self.heard);
+            Activity::Stopping { order: StopOrder::Waiting(ref mut since), .. } => {
+                let waited = now.since(*since.get_or_insert(now));
                 (waited > self.config.switching).then(|| Err(self.cause_of(EcpError::Silent { waited })))
             }
-            Activity::Stopping { since: Some(since), outcome } => {
+            Activity::Stopping { order: StopOrder::Sent(since), outcome } => {
                 let waited = now.since(since);
                 // A standstill from before the stop does not count: the servo may still start an earlier order. Two
                 // macrosteps of the cell are enough, because the servo takes orders each period and reports each change.
@@ -586,7 +594,7 @@ impl Ecp {
         let phase = self.phase();
         let outcome = Err(self.cause_of(EcpError::BrokenOff { phase }));
         self.clear_outbox();
-        self.activity = Activity::Stopping { since: Some(now), outcome };
+        self.activity = Activity::Stopping { order: StopOrder::Sent(now), outcome };
     }
 
     /// Drops the generator and the waiting orders, and queues a stop of the effector.
@@ -594,6 +602,6 @@ impl Ecp {
         self.in_motion = false;
         self.clear_outbox();
         self.outbox.push_back(Order::Stop);
-        self.activity = Activity::Stopping { since: None, outcome };
+        self.activity = Activity::Stopping { order: StopOrder::Waiting(None), outcome };
     }
 }

@@ -54,7 +54,7 @@ pub enum GeneratorError {
     /// A motion along a joint path begins where the effector stands.
     #[error("axis {axis} stands {distance:.6} from the start of the path: move it there first")]
     NotAtJointStart { axis: u8, distance: f64 },
-    #[error("no profile within the limits")]
+    #[error("no profile within the limits: one is too small for the distance, or the motion takes more than 7600 s")]
     NoProfile,
     /// The arm cannot take a pose of the path, at parameter `s` from 0 at the start to 1 at the end. The pose was found
     /// before the motion began.

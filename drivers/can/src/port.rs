@@ -93,6 +93,10 @@ pub struct Counters {
     pub dropped: u64,
     /// Error frames, or error reports of an slcan adapter.
     pub errors: u64,
+    /// Times that the controller became error passive.
+    pub passive: u64,
+    /// Times that the controller went bus off.
+    pub bus_off: u64,
     /// Bits on the wire of all frames sent and received, with stuff bits and intermissions.
     pub bits: u64,
 }
@@ -102,6 +106,12 @@ impl Counters {
     pub fn count_sent(&mut self, frames: &[Frame]) {
         self.sent += frames.len() as u64;
         self.bits += frames.iter().map(bits).sum::<u64>();
+    }
+
+    /// Counts a change of the controller's state.
+    pub fn count_state(&mut self, before: ControllerState, state: ControllerState) {
+        self.passive += u64::from(before < ControllerState::Passive && state == ControllerState::Passive);
+        self.bus_off += u64::from(before != state && state == ControllerState::BusOff);
     }
 
     /// Counts frames received.

@@ -79,6 +79,7 @@ impl ReplayPort {
             if recorded > now || recorded == now && call == Direction::Received && direction == Direction::Sent {
                 break;
             }
+            self.counters.count_state(self.state, state);
             (self.state, self.counters.dropped, self.counters.errors) = (state, dropped, errors);
             trace.conditions.pop_front();
         }
@@ -215,6 +216,7 @@ mod tests {
         assert_eq!(port.state(), ControllerState::Active);
         assert_eq!(port.send(at(5), &[]), Ok(0));
         assert_eq!((port.state(), port.counters().errors), (ControllerState::BusOff, 2));
+        assert_eq!(port.counters().bus_off, 1);
         let mut port = ReplayPort::new([condition(Direction::Received)]);
         assert_eq!(port.receive(at(5), &mut []), Ok(0));
         assert_eq!(port.state(), ControllerState::BusOff);

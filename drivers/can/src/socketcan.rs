@@ -217,6 +217,7 @@ impl SocketCanPort {
             };
             if let Some(state) = state_after(&frame, self.state) {
                 self.counters.errors += 1;
+                self.counters.count_state(self.state, state);
                 self.state = state;
                 if state == ControllerState::BusOff {
                     // The driver has discarded the waiting frames.

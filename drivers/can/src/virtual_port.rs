@@ -114,6 +114,7 @@ impl Port for VirtualPort {
             self.received.pop().expect("one was peeked");
             if let Some(state) = state_after(&received.frame, self.state) {
                 self.counters.errors += 1;
+                self.counters.count_state(self.state, state);
                 self.state = state;
                 continue;
             }
@@ -274,7 +275,7 @@ mod tests {
         assert_eq!(port.state(), ControllerState::Active);
         assert_eq!(receive(&mut port, 5).unwrap().len(), 1);
         assert_eq!(port.state(), ControllerState::BusOff);
-        assert_eq!(port.counters().errors, 1);
+        assert_eq!((port.counters().errors, port.counters().bus_off), (1, 1));
     }
 
     #[test]

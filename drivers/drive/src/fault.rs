@@ -138,7 +138,7 @@ pub enum BringUpError {
     )]
     Late { node: u8, latency: Duration, most: Duration },
     /// The node was started, but no heartbeat showed the state operational.
-    #[error("node {node}: not operational, waited {waited:.1?}")]
+    #[error("node {node}: no heartbeat showed the state operational, waited {waited:.1?}")]
     NotOperational { node: u8, waited: Duration },
     /// Object 0x1018 differs from the cell file: sub-index 1 vendor, 2 product, 3 revision, 4 serial number.
     #[error("node {node}: identity 0x1018:{subindex:02x} is {found:#010x}, the cell expects {expected:#010x}")]
@@ -167,7 +167,10 @@ pub enum BringUpError {
     #[error("node {node}: {object} timed out after {waited:.1?}")]
     TimedOut { node: u8, object: Object, waited: Duration },
     /// The drive does not support the mode of operation, a value of object 0x6060 (object 0x6502).
-    #[error("node {node}: mode {mode} is not supported (0x6502 is {supported:#010x})")]
+    #[error(
+        "node {node}: mode {mode} ({name}) is not supported (0x6502 is {supported:#010x})",
+        name = ModeOfOperation::from_raw(*.mode)
+    )]
     ModeUnsupported { node: u8, mode: i8, supported: u32 },
     /// An axis controller on a serial line could not be brought up. `line` is the index of its axis in the group.
     #[error("line {line}: {error}")]

@@ -301,7 +301,10 @@ impl<L: Line> SlcanPort<L> {
             self.counters.dropped += self.splitter.dropped() - spoilt;
             match report {
                 Some(Ok(AdapterReport::Received { frame, .. })) => return Some(frame),
-                Some(Ok(AdapterReport::State { state, .. })) => self.state = state,
+                Some(Ok(AdapterReport::State { state, .. })) => {
+                    self.counters.count_state(self.state, state);
+                    self.state = state;
+                }
                 Some(Ok(AdapterReport::Errors(errors))) => self.count(errors),
                 Some(Ok(AdapterReport::Refused)) => self.counters.refused += 1,
                 Some(Err(_)) => self.counters.dropped += 1,

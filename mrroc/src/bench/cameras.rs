@@ -7,6 +7,7 @@ use can::Instant;
 use drive::camera::{CameraConfig, CameraFault, CameraLink, CameraReceiver};
 use hil::{Camera, View, World};
 
+use crate::bench::random::Stream;
 use crate::bench::scene::base_of;
 use crate::cell::{self, CellFile};
 
@@ -27,7 +28,7 @@ pub(super) fn emulated(file: &CellFile, number: usize, world: &mut World) -> Cam
     let robot = file.cell.robot.iter().find(|robot| robot.name == given.robot);
     let robot = robot.expect("a parsed cell has the robot of a camera");
     let view = world.scene_mut().map_or(View::EMPTY, |scene| scene.view());
-    let seed = file.cell.seed.wrapping_mul(1000).wrapping_add(900 + number as u64);
+    let seed = Stream::Camera(number).seed(file);
     let pose = base_of(robot) * given.base_from_camera();
     Camera::new(given.emulated(seed), view, pose).expect("a parsed cell has sound cameras")
 }

@@ -8,6 +8,7 @@ use std::fs::File;
 use std::io::{self, BufWriter, Write};
 use std::path::Path;
 
+use anyhow::bail;
 use hil::scene::{HeightField, WorkpieceProbe};
 
 use crate::cell::CellFile;
@@ -38,7 +39,10 @@ pub fn open(outputs: &mut Outputs, file: &CellFile, directory: Option<&Path>) ->
     let Some(directory) = directory else {
         return Ok(Vec::new());
     };
-    let workpieces = file.cell.scene.iter().flat_map(|scene| &scene.workpiece);
+    let mut workpieces = file.cell.scene.iter().flat_map(|scene| &scene.workpiece).peekable();
+    if workpieces.peek().is_none() {
+        bail!("--carved needs a workpiece, and the scene of the cell has none: add a table scene.workpiece");
+    }
     workpieces.map(|it| outputs.open_in("--carved", directory, &format!("{}.pgm", it.name))).collect()
 }
 

@@ -8,6 +8,7 @@ use hil::scene::{BeamConfig, BodyConfig, Material, Shape, WallConfig};
 use nalgebra::{Isometry3, Vector3};
 
 use super::plants::EmulatedCell;
+use super::random::Stream;
 use super::scene::SOUND;
 use crate::cell::{EmulatedObject, EmulatedScene};
 
@@ -47,7 +48,7 @@ impl EmulatedCell<'_> {
                 to: gate.to,
                 response: gate.response(),
                 jitter: gate.jitter(),
-                seed: self.file.cell.seed.wrapping_mul(1000).wrapping_add(700 + number as u64),
+                seed: Stream::Conveyor(number).seed(self.file),
             };
             scene.add_beam(&config, probe.clone()).expect(SOUND);
         }

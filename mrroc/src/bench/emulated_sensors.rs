@@ -12,6 +12,7 @@ use serial::VirtualLine;
 
 use crate::bench::emulation::{Absent, LINE};
 use crate::bench::plants::EmulatedCell;
+use crate::bench::random::Stream;
 use crate::bench::scene::{EmulatedSurroundings, SceneTruth};
 use crate::cell::{CellFile, FieldContent, ForceSensor, ForceSensorEmulator, Path, SensorField};
 
@@ -87,7 +88,7 @@ impl EmulatedCell<'_> {
     /// The transducer of a sensor whose node or board counts `gain` times the true force and torque.
     fn transducer(&self, number: usize, sensor: &ForceSensor, gain: [f64; 2]) -> TransducerConfig {
         let ForceSensorEmulator { offset, noise, drift, temperature, .. } = sensor.emulator;
-        let seed = self.file.cell.seed.wrapping_mul(1000).wrapping_add(900 + number as u64);
+        let seed = Stream::Force(number).seed(self.file);
         let scaled = |values: [f64; 6]| std::array::from_fn(|channel| values[channel] * gain[channel / 3].abs());
         TransducerConfig {
             gain: std::array::from_fn(|channel| gain[channel / 3]),

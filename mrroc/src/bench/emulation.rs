@@ -21,6 +21,7 @@ use crate::bench::cameras::{CameraInMemory, emulated};
 use crate::bench::drive_ids::DriveIds;
 use crate::bench::emulated_sensors;
 use crate::bench::plants::{EmulatedCell, Payloads, homing_problem, plant};
+use crate::bench::random::Stream;
 use crate::bench::scene::SceneTruth;
 use crate::bench::traffic::BusLoad;
 use crate::bench::truth::TruthLog;
@@ -324,7 +325,7 @@ impl EmulatedCell<'_> {
         }
         let share = self.file.cell.bus[bus].emulated_load;
         if share > 0.0 {
-            let seed = self.file.cell.seed.wrapping_mul(1000).wrapping_add(600 + bus as u64);
+            let seed = Stream::Traffic(bus).seed(self.file);
             world.add_device(id, Box::new(BusLoad::new(bitrate(self.file, bus), share, seed)));
         }
         id
@@ -417,7 +418,7 @@ impl EmulatedCell<'_> {
             return Box::new(Absent);
         }
         let config = AxisControllerConfig {
-            seed: seed(self.file, robot, number),
+            seed: Stream::Axis { robot, number }.seed(self.file),
             cabinet: cabinet.clone(),
             mount: self.mount(robot, number),
             synchronized: self.referenced.get(),
@@ -503,7 +504,7 @@ pub fn config(file: &CellFile, robot: usize, number: usize, power_on: Instant) -
         revision: axis.emulator.revision.or(identity.revision).unwrap_or(usual.revision),
         main_sensor_resolution: axis.emulator.counts_per_revolution,
         rated_torque: axis.emulator.rated_torque.or(Some(axis.cia402().rated_torque)),
-        seed: seed(file, robot, number),
+        seed: Stream::Axis { robot, number }.seed(file),
         trips_at: axis.emulator.trips_at_s.map(|at| power_on + Duration::from_secs_f64(at)),
         contact: contact(axis, power_on),
         power_on,
@@ -516,8 +517,4 @@ fn contact(axis: &Axis, power_on: Instant) -> Option<DriveContact> {
     let contact = axis.cia402().emergency_stop.as_ref()?;
     let edges = contact.emulated_edges_s.iter().map(|&at| power_on + Duration::from_secs_f64(at)).collect();
     Some(DriveContact { bit: contact.input, edges })
-}
-
-fn seed(file: &CellFile, robot: usize, number: usize) -> u64 {
-    file.cell.seed.wrapping_mul(1000).wrapping_add((robot * 16 + number) as u64)
 }

@@ -8,6 +8,7 @@ use serial::VirtualLine;
 use crate::bench::emulated_sensors::Unplugged;
 use crate::bench::emulation::{Absent, LINE};
 use crate::bench::plants::EmulatedCell;
+use crate::bench::random::Stream;
 use crate::bench::scene::base_of;
 use crate::cell::Ultrasonic;
 
@@ -39,7 +40,7 @@ impl EmulatedCell<'_> {
             speed_of_sound: matrix.speed_of_sound,
             noise: emulator.noise.unwrap_or(matrix.deviation),
             drop_out: emulator.lost_echoes,
-            seed: self.file.cell.seed.wrapping_mul(1000).wrapping_add(800 + number as u64),
+            seed: Stream::Matrix(number).seed(self.file),
             ..UltrasonicConfig::default()
         };
         let echoes = SceneEchoes::new(view, base_of(robot) * matrix.base_from_matrix(), &config);

@@ -15,6 +15,7 @@ pub mod emulation;
 pub mod interfaces;
 mod matrices;
 pub mod plants;
+mod random;
 pub mod scene;
 pub(crate) mod traffic;
 pub mod truth;

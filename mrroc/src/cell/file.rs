@@ -11,7 +11,7 @@ use thiserror::Error;
 
 use crate::inputs::Inputs;
 
-use super::{Cell, CellError, LARGEST, device_configuration::DeviceConfiguration, read};
+use super::{Axis, Cell, CellError, LARGEST, device_configuration::DeviceConfiguration, read};
 
 /// A cell with the arms of its robots, and the text of its file.
 #[derive(Clone)]
@@ -105,23 +105,26 @@ impl CellFile {
         refusal(&self.path, &CellError::at(&self.text, key, problem))
     }
 
-    /// Finds the axis with this name, as robot and axis: ROBOT/AXIS, or an axis name that is unique in the cell. With
-    /// `on_can`, only axes with a drive on CAN are considered, and a node-ID is a name too.
+    /// Finds the axis with this name, as robot and axis: ROBOT.AXIS, ROBOT/AXIS, or an axis name that is unique in the
+    /// cell. With `on_can`, the axis has a drive on CAN, and a node-ID is a name too.
     pub fn find_axis(&self, wanted: &str, on_can: bool) -> anyhow::Result<(usize, usize)> {
         let axes = self.cell.robot.iter().enumerate().flat_map(|(number, robot)| {
-            let axes = robot.axis.iter().enumerate().filter(|(_, axis)| !on_can || axis.drive.is_some());
-            axes.map(move |(place, axis)| ((number, place), format!("{}/{}", robot.name, axis.name), axis))
+            let axes = robot.axis.iter().enumerate();
+            axes.map(move |(place, axis)| ((number, place), format!("{}.{}", robot.name, axis.name), axis))
         });
-        let axes: Vec<_> = axes.collect();
-        let mut found = axes.iter().filter(|(_, full, axis)| {
-            let by_node = on_can && wanted.parse() == Ok(axis.node);
-            full == wanted || axis.name == wanted || by_node
-        });
-        let what = match (found.next(), found.next()) {
-            (Some((place, ..)), None) => return Ok(*place),
-            (Some(_), Some(_)) => "more than one axis is",
-            (None, _) => "no axis is",
+        let mut axes: Vec<_> = axes.collect();
+        let is_meant = |full: &str, axis: &Axis| {
+            let by_node = on_can && axis.drive.is_some() && wanted.parse() == Ok(axis.node);
+            full == wanted || full == wanted.replace('/', ".") || axis.name == wanted || by_node
         };
+        let mut found = axes.iter().filter(|(_, full, axis)| is_meant(full, axis));
+        let (first, second) = (found.next(), found.next());
+        let what = match first {
+            Some(_) if second.is_some() => "more than one axis is",
+            Some((place, _, axis)) if !on_can || axis.drive.is_some() => return Ok(*place),
+            _ => "no axis is",
+        };
+        axes.retain(|(.., axis)| !on_can || axis.drive.is_some());
         if !on_can {
             let all: Vec<_> = axes.iter().map(|(_, full, _)| full.as_str()).collect();
             bail!("{what} called {wanted:?}; there are {}", all.join(", "));

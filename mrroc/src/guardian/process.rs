@@ -144,6 +144,8 @@ const NO_ORDERS: i32 = 2;
 /// hangs reports later.
 const CONTROLLER_ENDED: &str = "mrroc: the controller has ended without switching its drives off: the guardian put all \
      drives that it guards into their error state; the next run brings them up\n";
+const NO_ORDERS_GIVEN: &str =
+    "mrroc: MRROC_GUARDIAN is set, but no controller has started this process as its guardian: unset it\n";
 const NO_CYCLE: &str = "mrroc: no servo cycle: the guardian put all drives that it guards into their error state\n";
 
 /// Writes a message to standard error, unless that would wait.
@@ -161,10 +163,9 @@ fn tell(message: &str) {
 /// Guards the lines of the orders in the memory file `memory` until the end. Returns the exit status.
 fn guard(memory: RawFd) -> i32 {
     // An ordinary file under this number is not mapped before its orders are checked.
-    let Some(orders) = Orders::read(memory) else {
-        return NO_ORDERS;
-    };
-    let Ok(words) = Words::map(memory) else {
+    let given = Orders::read(memory).and_then(|orders| Some((orders, Words::map(memory).ok()?)));
+    let Some((orders, words)) = given else {
+        tell(NO_ORDERS_GIVEN);
         return NO_ORDERS;
     };
     words.denied.store(detach(&orders), Ordering::Relaxed);

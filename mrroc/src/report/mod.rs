@@ -167,6 +167,9 @@ impl RunReport {
             worst_case_percent: budget.worst_case_percent,
             dropped_setpoints: group.dropped_setpoints,
             missed_answers: group.missed_answers,
+            errors: group.port.errors,
+            error_passive: group.port.passive,
+            bus_off: group.port.bus_off,
         });
         let timing = &end.timing;
         let groups = servo.into_iter().flat_map(Servo::warnings).enumerate();
@@ -368,9 +371,11 @@ pub struct CycleReport {
 }
 
 impl CycleReport {
-    /// The times of the cycle with their names in tables.
-    fn times(&self) -> [(&'static str, Percentiles); 4] {
-        [("wake-up", self.wake_us), ("SYNC", self.sync_us), ("step", self.step_us), ("bus", self.bus_us)]
+    /// The measured times of the cycle with their names in tables. Virtual time has no delays, and a tty does not tell
+    /// when an answer came.
+    fn times(&self) -> impl Iterator<Item = (&'static str, Percentiles)> {
+        let times = [("wake-up", self.wake_us), ("SYNC", self.sync_us), ("step", self.step_us), ("bus", self.bus_us)];
+        times.into_iter().filter(|(_, times)| times.max > 0.0)
     }
 
     /// Causes of late cycles that occurred, and the lateness from which a cycle counts as late, µs.
@@ -485,4 +490,24 @@ pub struct BusReport {
     pub dropped_setpoints: u64,
     /// Answers of drives that did not come in their cycle.
     pub missed_answers: u64,
+    /// Error frames of a CAN bus, error reports of an slcan adapter, or refused answers on lines.
+    pub errors: u64,
+    /// Times that the CAN controller of the host became error passive.
+    pub error_passive: u64,
+    /// Times that the CAN controller of the host went bus off.
+    pub bus_off: u64,
+}
+
+impl BusReport {
+    /// A warning of errors on a CAN bus.
+    fn trouble(&self) -> Option<String> {
+        let Self { name, errors, error_passive, bus_off, .. } = self;
+        let troubled = self.lines.is_none() && errors + error_passive + bus_off > 0;
+        troubled.then(|| {
+            format!(
+                "bus {name}: {errors} error frames, error passive {error_passive} times, bus off {bus_off} times: check bit \
+                 rate, termination, cables, and power of the nodes"
+            )
+        })
+    }
 }

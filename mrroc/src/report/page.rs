@@ -4,7 +4,7 @@ use std::fmt::{Display, Write as _};
 
 use servo::Timing;
 
-use super::{CycleState, Deviation, FaultReport, RunReport, Tracks, plots, text::rounded};
+use super::{BusReport, CycleState, Deviation, FaultReport, RunReport, Tracks, plots, text::rounded};
 use crate::cell::printable;
 use crate::charts::{ChartError, escaped};
 
@@ -33,6 +33,8 @@ pub(crate) fn page(report: &RunReport, tracks: &Tracks, timing: &Timing) -> Resu
             format_args!("{} records of cycles were lost: errors of robots and plots lack them.", report.lost_records),
         );
     }
+    let figures: Vec<_> = report.figures.iter().map(|(name, value)| format!("{name}: {value:.4}")).collect();
+    list(&mut page, "Figures of the task", &figures);
     list(&mut page, "Faults", &report.faults);
     list(&mut page, "Recovered errors", &report.recovered);
     report.faults.iter().chain(&report.recovered).for_each(|fault| last_cycles(&mut page, fault));
@@ -42,6 +44,8 @@ pub(crate) fn page(report: &RunReport, tracks: &Tracks, timing: &Timing) -> Resu
         paragraph(&mut page, format_args!("{} further motions were slowed.", report.more_slowed));
     }
     list(&mut page, "Oscillations", &report.oscillations);
+    let troubles: Vec<_> = report.buses.iter().filter_map(BusReport::trouble).collect();
+    list(&mut page, "Errors on buses", &troubles);
     list(&mut page, "Warnings", &report.warnings);
     if report.more_warnings > 0 {
         let more = report.more_warnings;
@@ -184,7 +188,7 @@ fn times(page: &mut String, report: &RunReport) {
 }
 
 fn buses(page: &mut String, report: &RunReport) {
-    let row = |bus: &super::BusReport| {
+    let row = |bus: &BusReport| {
         [
             bus.name.clone(),
             bus.frames.to_string(),

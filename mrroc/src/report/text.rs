@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use super::{Deviation, Percentiles, RobotReport, RunReport};
+use super::{BusReport, Deviation, Percentiles, RobotReport, RunReport};
 
 /// `irb6  tool 0.12 mm rms, 0.45 mm peak; 0.01° rms, 0.05° peak`
 impl fmt::Display for RobotReport {
@@ -58,9 +58,7 @@ impl fmt::Display for RunReport {
             )?;
         }
         let cycle = &self.cycle;
-        // Virtual time has no delays, and a tty does not tell when an answer came.
-        let measured = |(_, times): &(_, Percentiles)| times.max > 0.0;
-        let mut rows = cycle.times().into_iter().filter(measured).peekable();
+        let mut rows = cycle.times().peekable();
         if rows.peek().is_some() {
             writeln!(f, "\n{:9} {}", "cycle, µs", Percentiles::HEAD)?;
         }
@@ -115,6 +113,9 @@ impl fmt::Display for RunReport {
         }
         for oscillation in &self.oscillations {
             writeln!(f, "warning: {oscillation}")?;
+        }
+        for trouble in self.buses.iter().filter_map(BusReport::trouble) {
+            writeln!(f, "warning: {trouble}")?;
         }
         for warning in &self.warnings {
             writeln!(f, "warning: {warning}")?;

@@ -97,6 +97,8 @@ pub(crate) use watch::returned;
 pub use watch::{ServoHang, hang_limit};
 use watch::{Watch, watched};
 
+/// Least `--speed`, percent: at lower speeds, a program of minutes lasts for days.
+const LEAST_SPEED: f64 = 0.1;
 /// Records that the evaluation may lag behind the servo, per effector: some seconds.
 const RECORDS: usize = 1 << 11;
 
@@ -141,9 +143,9 @@ pub fn run(
         file.inputs().protect("the scenario", path);
     }
     if let Some(percent) = options.speed {
-        let fraction = if percent > 0.0 { percent / 100.0 } else { f64::NAN };
+        let fraction = if percent >= LEAST_SPEED { percent / 100.0 } else { f64::NAN };
         let set = requests.speed.set(fraction);
-        set.map_err(|_| anyhow!("--speed is a percentage above 0 and at most 100, not {percent}"))?;
+        set.map_err(|_| anyhow!("--speed is a percentage, at least {LEAST_SPEED} and at most 100, not {percent}"))?;
     }
     let rehearsed = rehearsal::rehearse(file, program)?;
     // Payloads and surroundings of the cell file are those of emulated robots.

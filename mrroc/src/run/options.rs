@@ -17,7 +17,7 @@ pub struct RunOptions {
     /// Where the bench is found.
     #[cfg_attr(feature = "command-line", command(flatten))]
     pub places: Places,
-    /// Move at this percentage of the programmed speed: above 0, at most 100.
+    /// Move at this percentage of the programmed speed: 0.1 to 100.
     #[cfg_attr(feature = "command-line", arg(long, value_name = "PERCENT"))]
     pub speed: Option<f64>,
     /// Write every frame to this file, as candump does.

@@ -58,7 +58,7 @@ pub struct FaultText {
     pub node: Option<u8>,
     /// COB-ID on the bus.
     pub frame: Option<u16>,
-    /// The axis: ROBOT/AXIS, or the name of an axis that is unique in the cell.
+    /// The axis: ROBOT.AXIS, or the name of an axis that is unique in the cell.
     pub axis: Option<String>,
     /// Duration, s; without end where absent.
     pub duration: Option<f64>,
@@ -283,7 +283,9 @@ impl FaultText {
         let name = self.bus.as_deref().unwrap_or_default();
         let Some(index) = cell.bus.iter().position(|bus| bus.name == name) else {
             let names: Vec<_> = cell.bus.iter().map(|bus| bus.name.as_str()).collect();
-            return Err(("bus", format!("no bus is called {name:?}; there are {}", names.join(", "))));
+            let there_are =
+                if names.is_empty() { "the cell has none".into() } else { format!("there are {}", names.join(", ")) };
+            return Err(("bus", format!("no bus is called {name:?}; {there_are}")));
         };
         let axes: Vec<_> = cell.axes_on(index).collect();
         let of_node = |node| axes.iter().find(|&&(robot, axis)| cell.robot[robot].axis[axis].node == node);

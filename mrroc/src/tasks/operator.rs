@@ -55,7 +55,7 @@ impl Cell {
         answered.await.map_err(|error| TaskError::Unanswered { question: text, error })
     }
 
-    /// Shows a message to the operator. A rehearsal shows nothing.
+    /// Shows a message to the operator. A rehearsal and a run without an operator (`--operator`) show nothing.
     pub fn tell(&self, message: impl Into<String>) {
         if let Some(link) = self.desk.link.as_ref().filter(|_| !self.rehearsing()) {
             link.show(message);

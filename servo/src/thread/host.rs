@@ -67,8 +67,8 @@ impl fmt::Display for Grant {
         };
         write!(
             f,
-            "grant it with the line `{}` in {LIMITS}, the user in group realtime and a new login, or with \
-             `setcap {capability}+ep` on the program",
+            "grant it with the line `{}` in {LIMITS}, the user in group realtime and a new login, or, for a \
+             program that no unit starts, with `setcap {capability}+ep`",
             self.0
         )
     }

@@ -66,7 +66,7 @@ const ROOM: f64 = 5.0;
 pub struct Options {
     /// The cell file.
     cell: PathBuf,
-    /// The axis: ROBOT/AXIS, or the axis's name if no other has it.
+    /// The axis: ROBOT.AXIS, or the axis's name if no other has it.
     #[arg(long)]
     axis: String,
     /// Form of the excitation.
@@ -187,7 +187,7 @@ pub fn identify(options: &Options) -> anyhow::Result<Measured<IdentifyReport>> {
     };
     motion.is_over();
     let robot = &file.cell.robot[place.0];
-    let name = format!("{}/{}", robot.name, robot.axis[place.1].name);
+    let name = format!("{}.{}", robot.name, robot.axis[place.1].name);
     let report = ended.and_then(Session::finish).and_then(|(run, trace)| {
         let (kind, points) = trace
             .response(&run, &axis, delay, &lines)
@@ -259,12 +259,8 @@ fn plan(
     let dt = file.cell.period().as_secs_f64();
     let known = if hardware { EPOS4 } else { EMULATED_DRIVE };
     let drive_period = options.drive_period.map_or(known.min(dt), |it| 1e-6 * it);
-    if !(0.0..=dt).contains(&drive_period) {
-        bail!(
-            "--drive-period {:.0}: it is at least 0 and at most the {:.0} µs of the servo",
-            1e6 * drive_period,
-            1e6 * dt
-        );
+    if !(drive_period > 0.0 && drive_period <= dt) {
+        bail!("--drive-period {}: it is above 0 and at most the {:.0} µs of the servo", 1e6 * drive_period, 1e6 * dt);
     }
     let count = 1.0 / (axis.increments_per_radian.abs() * dt);
     let usual = match axis.torque_offset {

@@ -12,7 +12,7 @@ const SURE: f64 = 0.9;
 /// The report of one axis.
 #[derive(Debug, Serialize)]
 pub struct IdentifyReport {
-    /// ROBOT/AXIS.
+    /// ROBOT.AXIS.
     pub axis: String,
     /// The bench of the measurement.
     pub bench: &'static str,

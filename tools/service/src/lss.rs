@@ -5,7 +5,7 @@ use std::fmt;
 use std::process::ExitCode;
 use std::time::Duration;
 
-use can::{Frame, Instant};
+use can::{Frame, Instant, Port as _};
 use canopen::NodeId;
 use canopen::heartbeat::Heartbeat;
 use canopen::lss::{Identity, Mode, Part, Request};
@@ -187,12 +187,22 @@ fn scan(bus: &BusArgs, timeout: Option<Duration>, json: bool) -> anyhow::Result<
         (true, Some(error)) => return Err(error.into()),
         (true, None) => {
             say(serde_json::to_string(&Unconfigured { unconfigured })?)?;
-            return Ok(ExitCode::SUCCESS);
         }
         (false, None) if found.is_empty() => {
-            say("every node that knows LSS has a node-ID")?;
+            say(format_args!(
+                "no node without a node-ID answered within {} ms: the nodes have node-IDs, do not know LSS, or answer \
+                 later (--timeout)",
+                timeout.as_millis()
+            ))?;
         }
         (false, _) => {}
+    }
+    if failed.is_none() && found.is_empty() && bus.port.counters().received == 0 {
+        streams::warn(format_args!("mrroc: {}", bus.silence()));
+        return Ok(ExitCode::from(1));
+    }
+    if json {
+        return Ok(ExitCode::SUCCESS);
     }
     for found in unconfigured {
         let vendor = found.vendor_name.map(|name| format!(" ({name})"));

@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use anyhow::{Context, anyhow, bail};
 use can::{Frame, Instant, clock};
-use canopen::objects::{DEVICE_TYPE, ERROR_CODE, ERROR_HISTORY_NEWEST, VENDOR_ID};
+use canopen::objects::{DEVICE_TYPE, ERROR_CODE, ERROR_HISTORY_NEWEST, RESTORE_ALL, STORE_ALL, VENDOR_ID};
 use canopen::sdo::AbortCode;
 use canopen::{NodeId, Object};
 use clap::{Args, Subcommand};
@@ -208,7 +208,9 @@ fn write(target: &Target, text: &str, ty: Option<Type>, read_back: bool) -> anyh
     if let Some(sheet) = &sheet {
         sheet.check_write(target.node, &data)?;
     }
-    let read_back = read_back && sheet.as_ref().is_none_or(|sheet| sheet.check_read().is_ok());
+    // These objects take a signature and show what they can do.
+    let is_order = [STORE_ALL, RESTORE_ALL].map(|order| order.index).contains(&target.object.index);
+    let read_back = read_back && !is_order && sheet.as_ref().is_none_or(|sheet| sheet.check_read().is_ok());
     let mut channel = target.open()?;
     check_kept(&mut channel, target)?;
     let written = transfer(&mut channel, target, target.object, Some(&data), Some(ty))?;

@@ -145,6 +145,20 @@ fn stop_brakes_and_drops_the_rest() {
 }
 
 #[test]
+fn a_stop_after_a_long_wait_for_a_partner_is_a_stop_and_no_silence_of_the_servo() {
+    let mut bench = Bench::ready();
+    bench.ecp.config.meeting = CONFIG.switching * 4;
+    bench.ecp.execute(Task::new().meet(0).run(to(0.1, 0.0, 0.0))).unwrap();
+    let end = bench.now + CONFIG.switching * 2;
+    let events = bench.go_on(|bench| {
+        if bench.now > end {
+            bench.ecp.stop();
+        }
+    });
+    assert_eq!(events, failed(EcpError::Stopped));
+}
+
+#[test]
 fn a_motion_needs_drives_on_and_homed_axes() {
     let mut bench = Bench::new(16);
     assert_eq!(bench.run(Task::new().run(to(1.0, 0.0, 0.0))), failed(EcpError::NotStanding { phase: Phase::Off }));

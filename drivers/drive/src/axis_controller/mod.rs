@@ -349,6 +349,7 @@ impl<L: Line> DriveGroup for AxisControllerGroup<L> {
                 dropped: port.dropped + line.dropped,
                 errors: port.errors + refused,
                 bits: port.bits + bits_per_byte * (line.sent + line.received),
+                ..*port
             };
         }
         counters

@@ -46,7 +46,7 @@ fn check_joints(path: &Path, joints: &Joints, robot: &Robot) -> Checked {
     if joints.generator != JointGenerator::JerkLimited {
         return refused(path, "duration", "is for jerk-limited motions: use generator = \"jerk-limited\"");
     }
-    within(path, "duration", duration, Range::new(1e-3, 86_400.0, "s"))
+    within(path, "duration", duration, Range::new(1e-3, 7_200.0, "s"))
 }
 
 fn check_line(path: &Path, line: &LineInstruction) -> Checked {

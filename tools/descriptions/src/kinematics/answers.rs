@@ -68,6 +68,21 @@ enum Values {
     },
 }
 
+/// Positions of the motors at these joints, or notes why there are none.
+fn motors(machine: &Machine, joints: &Joints) -> (Option<Vec<f64>>, Vec<String>) {
+    let error = match machine.robot.motors_from_joints(joints) {
+        Ok(motors) => return (Some(motors.to_vec()), Vec::new()),
+        Err(error) => error,
+    };
+    let mut notes = vec![format!("no motors: {error}")];
+    if let KinematicsError::BeyondLimit { space: Space::Joint, value, .. } = error
+        && value.abs() > DEGREES
+    {
+        notes.push("positions of joints are in rad and m, not degrees and mm".into());
+    }
+    (None, notes)
+}
+
 impl Answer {
     fn of(machine: &Machine, values: Values) -> Self {
         Self { robot: machine.name.clone(), values, notes: machine.caution.map(str::to_owned).into_iter().collect() }
@@ -77,19 +92,7 @@ impl Answer {
     pub(super) fn forward(machine: &Machine, joints: &Joints) -> anyhow::Result<Self> {
         let pose = machine.robot.forward(joints)?;
         let rotation = pose.rotation.to_rotation_matrix();
-        let mut notes = Vec::new();
-        let angles = match machine.robot.motors_from_joints(joints) {
-            Ok(motors) => Some(motors.to_vec()),
-            Err(error) => {
-                notes.push(format!("no motors: {error}"));
-                if let KinematicsError::BeyondLimit { space: Space::Joint, value, .. } = error
-                    && value.abs() > DEGREES
-                {
-                    notes.push("positions of joints are in rad and m, not degrees and mm".into());
-                }
-                None
-            }
-        };
+        let (angles, notes) = motors(machine, joints);
         let lengths = machine.leg_lengths(joints)?;
         let motors = angles.clone().map(|mut motors| {
             if let Some(lengths) = lengths {
@@ -131,7 +134,9 @@ impl Answer {
         let row = |row| (0..machine.robot.axes()).map(|column| jacobian[(row, column)]).collect();
         let values =
             Values::Jacobian { jacobian: std::array::from_fn(row), singularity: machine.robot.singularity(joints)? };
-        Ok(Self::of(machine, values))
+        let mut answer = Self::of(machine, values);
+        answer.notes.extend(motors(machine, joints).1);
+        Ok(answer)
     }
 
     /// A converted trajectory file.

@@ -246,6 +246,13 @@ fn drives_come_up_side_by_side_with_few_frames_a_call() {
 }
 
 #[test]
+fn a_mode_that_is_not_supported_is_named() {
+    let error = BringUpError::ModeUnsupported { node: 2, mode: 8, supported: 0x325 };
+    let told = "node 2: mode 8 (cyclic synchronous position) is not supported (0x6502 is 0x00000325)";
+    assert_eq!(error.to_string(), told);
+}
+
+#[test]
 fn every_failure_names_the_node_and_what_it_said() {
     type Break = fn(&mut Store);
     let node = 2;
