@@ -394,7 +394,8 @@ impl SerialAxis {
         if self.phase != Phase::EmergencyStop {
             let reported = reported.into_iter().filter(|(bit, _)| status.any(*bit));
             let mut reported = reported.map(|(_, fault)| doubt.unwrap_or(fault));
-            if self.setup.probes && self.repeats && probed.is_none() && !self.faults.is_latched() {
+            let may_probe = self.setup.probes && self.repeats && self.phase.has_torque();
+            if may_probe && probed.is_none() && !self.faults.is_latched() {
                 self.probed = reported.next();
             } else {
                 reported.for_each(|fault| self.faults.latch(fault));
@@ -476,6 +477,9 @@ impl SerialAxis {
         {
             let fault = AxisControllerFault::KeepsReference { cycles };
             self.faults.latch(fault);
+        }
+        if command == AxisCommand::ResetFault {
+            self.probed = None;
         }
         let before = self.phase;
         self.phase = before.next(self.event(command));
