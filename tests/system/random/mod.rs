@@ -13,6 +13,8 @@ use kit::draw::Draw;
 use mutations::Mutations;
 use verdict::{Disagreement, Verdict, judge_but};
 
+mod cells;
+
 mod exceptions;
 
 mod homed;
@@ -20,6 +22,8 @@ mod homed;
 mod latency;
 
 mod mutations;
+
+mod numbers;
 
 mod operators;
 

@@ -142,6 +142,41 @@ fn processors() -> usize {
     thread::available_parallelism().map_or(1, usize::from)
 }
 
+/// The results of `work` on `0..count` in order, by as many threads as there are processors.
+fn by_threads<R: Send>(count: u64, work: impl Fn(u64) -> R + Sync) -> Vec<R> {
+    let done = Mutex::new(Vec::new());
+    let next = AtomicU64::new(0);
+    let worker = || {
+        loop {
+            let number = next.fetch_add(1, Ordering::Relaxed);
+            if number >= count {
+                return;
+            }
+            let result = work(number);
+            done.lock().expect("no thread panics with it").push((number, result));
+        }
+    };
+    thread::scope(|scope| {
+        let threads: Vec<_> = (0..processors()).map(|_| scope.spawn(worker)).collect();
+        for thread in threads {
+            if let Err(panic) = thread.join() {
+                resume_unwind(panic);
+            }
+        }
+    });
+    let mut done = done.into_inner().expect("every thread has ended");
+    done.sort_by_key(|(number, _)| *number);
+    done.into_iter().map(|(_, result)| result).collect()
+}
+
+/// As [`by_threads`], for work in this process: it takes the turn of a child process.
+pub(super) fn in_turns<R: Send>(count: u64, work: impl Fn(u64) -> R + Sync) -> Vec<R> {
+    by_threads(count, |number| {
+        let _turn = Turn::take();
+        work(number)
+    })
+}
+
 /// A cell and its peculiarity.
 pub(super) struct Case {
     pub(super) cell: String,
@@ -172,36 +207,18 @@ pub(super) fn judge_but(
     allowed: impl Fn(u64, &Disagreement) -> bool + Sync,
     shrink: impl Fn(String) -> String,
 ) -> Vec<Verdict> {
-    let judged = Mutex::new(Vec::new());
-    let next = AtomicU64::new(0);
-    let work = || {
-        loop {
-            let number = next.fetch_add(1, Ordering::Relaxed);
-            if number >= count {
-                return;
-            }
-            let case = case(number);
-            let verdict = judge(&case.cell);
-            if let Err(disagreement) = &verdict {
-                // Results of a long run are inspected before its end.
-                println!("case {number}: {} {disagreement}", case.what);
-            }
-            judged.lock().expect("no thread panics with it").push((number, verdict));
+    let judged = by_threads(count, |number| {
+        let case = case(number);
+        let verdict = judge(&case.cell);
+        if let Err(disagreement) = &verdict {
+            // Results of a long run are inspected before its end.
+            println!("case {number}: {} {disagreement}", case.what);
         }
-    };
-    thread::scope(|scope| {
-        let threads: Vec<_> = (0..processors()).map(|_| scope.spawn(work)).collect();
-        for thread in threads {
-            if let Err(panic) = thread.join() {
-                resume_unwind(panic);
-            }
-        }
+        verdict
     });
-    let mut judged = judged.into_inner().expect("every thread has ended");
-    judged.sort_by_key(|(number, _)| *number);
     let mut verdicts = Vec::new();
     let mut disagreed = Vec::new();
-    for (number, verdict) in judged {
+    for (number, verdict) in (0..).zip(judged) {
         match verdict {
             Ok(verdict) => verdicts.push(verdict),
             Err(disagreement) if allowed(number, &disagreement) => {}
