@@ -173,8 +173,8 @@ fn question(interface: &Interface) -> Duration {
 
 fn scan(bus: &BusArgs, timeout: Option<Duration>, json: bool) -> anyhow::Result<ExitCode> {
     #[derive(Serialize)]
-    struct Unconfigured {
-        unconfigured: Vec<Found>,
+    struct Unconfigured<'a> {
+        unconfigured: &'a [Found],
     }
     let mut bus = bus.open()?;
     let timeout = timeout.unwrap_or_else(|| question(&bus.interface));
@@ -186,7 +186,7 @@ fn scan(bus: &BusArgs, timeout: Option<Duration>, json: bool) -> anyhow::Result<
         // The JSON object has no form for an incomplete list.
         (true, Some(error)) => return Err(error.into()),
         (true, None) => {
-            say(serde_json::to_string(&Unconfigured { unconfigured })?)?;
+            say(serde_json::to_string(&Unconfigured { unconfigured: &unconfigured })?)?;
         }
         (false, None) if found.is_empty() => {
             say(format_args!(
