@@ -22,6 +22,7 @@
 //!
 //! Read [`Task`] first, then [`Ecp::poll`].
 
+mod activity;
 mod around;
 mod config;
 mod error;
@@ -45,6 +46,7 @@ use crate::generator::{Execution, Pace, SlowedPart};
 use crate::robot::Arm;
 use crate::sensor::Sensors;
 
+use activity::{Activity, StopOrder};
 pub use config::EcpConfig;
 pub use error::{Busy, ChartPhase, Class, EcpError, ReplaceRefused};
 use image::Effector;
@@ -84,40 +86,6 @@ const STILL: f64 = 1e-9;
 
 /// Greatest number of macrosteps that one poll computes. The other processes of the thread must not wait for long.
 const BURST: u16 = 10;
-
-/// Current activity. Every wait in an activity has a time limit.
-#[expect(
-    clippy::large_enum_variant,
-    reason = "a box would allocate in every switch of the drives, and there is one activity"
-)]
-enum Activity {
-    /// Between two instructions.
-    Idle,
-    /// Waits until an order to enable, home, disable or reset has taken effect.
-    Switching { order: Order, since: Instant },
-    /// Waits for the partners at a barrier. `admitted`: bit set of the partners, once all have come.
-    Meeting { barrier: Barrier, since: Instant, admitted: Option<u32> },
-    /// Waits for the images of the first step that are not there yet.
-    Awaiting { run: Box<dyn Execution + Send>, since: Instant },
-    /// The planner computes the first step of a generator. The effector stands.
-    Planning { since: Instant },
-    /// The generator computes macrosteps.
-    Running(Box<dyn Execution + Send>),
-    /// Waits for the end of the last macrostep, which ends at standstill.
-    Arriving,
-    /// Waits for the report from the last macrostep, which ends in motion. A stop follows.
-    RunningOut,
-    /// Waits for standstill. `outcome`: result afterwards.
-    Stopping { order: StopOrder, outcome: Result<(), EcpError> },
-}
-
-/// The order of a stop.
-enum StopOrder {
-    /// In the outbox, found there first at this time.
-    Waiting(Option<Instant>),
-    /// Sent at this time, or given by the servo itself.
-    Sent(Instant),
-}
 
 /// Effector control process of one effector. See the [module](self).
 pub struct Ecp {

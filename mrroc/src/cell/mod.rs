@@ -10,6 +10,7 @@ mod axis_controller;
 mod camera;
 mod can_force_sensor;
 mod conveyor;
+mod defaults;
 mod device_configuration;
 mod drives;
 mod emergency_contact;
@@ -585,20 +586,4 @@ impl Cell {
 /// The problem of a number outside its range.
 fn out_of_range(value: f64, range: Range) -> String {
     KeyProblem::OutOfRange { value, range }.to_string()
-}
-
-mod defaults {
-    /// The default of a whole number.
-    pub(super) fn count<const COUNT: u32, T: TryFrom<u32>>() -> T {
-        let count = T::try_from(COUNT).ok();
-        count.expect("a key has room for its default")
-    }
-    /// The default of a key that is true where absent.
-    pub(super) fn yes() -> bool {
-        true
-    }
-    /// The default of a number, in hundredths.
-    pub(super) fn hundredths<const COUNT: u8>() -> f64 {
-        f64::from(COUNT) / 100.0
-    }
 }
