@@ -23,7 +23,7 @@ impl Fault {
         Some(match self {
             Self::Drive { code, .. } => of_class(*code),
             Self::Silent { .. } | Self::HeartbeatLost { .. } => NODE_SUPPLY,
-            Self::Late { .. } => "look for what delays the frames: adapter, gateway, load of bus or host",
+            Self::Late { .. } => "check adapter, gateway, load of bus and host",
             Self::NotSent { .. } => BUS_TAKES,
             Self::NotAcknowledged { .. } => "check plug and bit rate of the bus, and the supply of its nodes",
             Self::HostLate { .. } => HOST_LATE,
