@@ -178,6 +178,7 @@ fn program(draw: &mut Draw, arm: &Arm) -> Vec<Instruction> {
     // Five axes have one orientation per position of the tool and turn about its axis.
     let q = pose.rotation.quaternion();
     let line = Instruction::Line(LineInstruction {
+        constant_speed: false,
         position: pose.translation.vector.into(),
         quaternion: Some([q.w, q.i, q.j, q.k]),
         velocity: 0.2,
