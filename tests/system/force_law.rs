@@ -130,7 +130,7 @@ fn a_law_that_cannot_go_on_stops_the_robot_with_a_fault_that_names_the_cause() {
         }),
         ("cycle law: no sample for 4 cycles", 5.0, |cell| cell.force_sensor[0].emulator.silent_from_s = Some(15.0)),
         // The limit of the law is the range of the sensor.
-        ("force sensor wrist: Fz is saturated", 29.0, |cell| {
+        ("force sensor wrist: Fz went beyond its range", 29.0, |cell| {
             cell.force_sensor[0].force_range[2] = 15.0;
             cell.robot[0].force_law.as_mut().unwrap().force[2] = 15.0;
         }),
