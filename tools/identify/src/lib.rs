@@ -260,7 +260,8 @@ fn plan(
     let known = if hardware { EPOS4 } else { EMULATED_DRIVE };
     let drive_period = options.drive_period.map_or(known.min(dt), |it| 1e-6 * it);
     if !(drive_period > 0.0 && drive_period <= dt) {
-        bail!("--drive-period {}: it is above 0 and at most the {:.0} µs of the servo", 1e6 * drive_period, 1e6 * dt);
+        let given = options.drive_period.unwrap_or(1e6 * drive_period);
+        bail!("--drive-period {given}: it is above 0 and at most the {:.0} µs of the servo", 1e6 * dt);
     }
     let count = 1.0 / (axis.increments_per_radian.abs() * dt);
     let usual = match axis.torque_offset {
