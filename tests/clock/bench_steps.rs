@@ -37,6 +37,9 @@ const EXAMPLES: [(&str, &str); 9] = [
 /// Time limit of all runs in the test machine.
 const LONGEST: Duration = Duration::from_secs(500);
 
+/// Largest number of poses of one motion of the examples.
+const MOST_POSES: usize = 2;
+
 /// Servo period of the cells, and mean use of processors by a run.
 const SLOW: Duration = Duration::from_millis(20);
 const PROCESSORS: f64 = 0.2;
@@ -120,11 +123,27 @@ fn check(program: &str, cell: &Path, directory: &Directory, run: impl Fn(&[OsStr
     });
 }
 
+/// Whether the charts differ as by a start of planned motions some counts elsewhere, where a search by the clock ends:
+/// a motion to a pose may take a macrostep more or less.
+fn start_elsewhere(expected: &[Step], found: &[Step]) -> bool {
+    let alike = |one: &Step, other: &Step| {
+        let [one, other] = [one, other].map(|step| (step.instruction, step.generator, step.class, &step.events));
+        one == other
+    };
+    let expected: Vec<_> = expected.chunk_by(alike).collect();
+    let found: Vec<_> = found.chunk_by(alike).collect();
+    let same = |(one, other): (&&[Step], &&[Step])| {
+        let permitted = if one[0].class == 0 { MOST_POSES } else { 0 };
+        alike(&one[0], &other[0]) && one.len().abs_diff(other.len()) <= permitted
+    };
+    expected.len() == found.len() && expected.iter().zip(&found).all(same)
+}
+
 /// Compares the steps of the agents in lockstep with those of a run by the clock.
 fn compare(agents: &BTreeSet<&str>, in_lockstep: &str, by_clock: &str) -> Result<(), String> {
     for agent in agents {
         let [expected, found] = [in_lockstep, by_clock].map(|file| chart(file, agent));
-        if expected != found {
+        if expected != found && !start_elsewhere(&expected, &found) {
             let differ = expected.iter().zip(&found).find(|(one, other)| one != other);
             return Err(format!("{agent}: {} and {} steps: {differ:#?}", expected.len(), found.len()));
         }

@@ -56,6 +56,7 @@ const EXCEPTIONS: &[Exception] = &[
     refused("ultrasonic.emulator.size", &["elements, declared were"], OTHER_DRIVE),
     refused("ultrasonic.emulator.absent", &["no answer, waited"], OTHER_DRIVE),
     refused("ultrasonic.emulator.silent_from_s", &["no answer, waited"], OTHER_DRIVE),
+    refused("scene.tip_radius", &["is saturated"], "the force of a body at the tip is known in a run only"),
     refused("robot.parameters.", &["is saturated"], "the weight of the tool at the sensor is known in a run only"),
     faulted(
         "ultrasonic.emulator.silent_from_s",
