@@ -66,13 +66,20 @@ impl Recording {
 
     /// The time of the SYNC of each cycle.
     pub fn syncs(&self) -> impl Iterator<Item = Instant> {
-        let sync = |received: Received| is_sync(&received.frame).then_some(received.at);
-        self.from_host().filter_map(sync)
+        let sync = |received: &Received| is_sync(&received.frame).then_some(received.at);
+        self.frames[self.first_cycle()..].iter().filter_map(sync)
     }
 
-    /// Brings up a group on [`Self::port`]. `Pending` means that the first SYNC came before the end of bring-up.
+    /// Index of the SYNC of the first cycle, which the first set-points follow. The SYNCs before it are of bring-up.
+    fn first_cycle(&self) -> usize {
+        let is_set_point = |received: &Received| is_set_point(&received.frame);
+        let end = self.frames.iter().position(is_set_point).unwrap_or(self.frames.len());
+        self.frames[..end].iter().rposition(|received| is_sync(&received.frame)).unwrap_or(end)
+    }
+
+    /// Brings up a group on [`Self::port`]. `Pending` means that the first cycle came before the end of bring-up.
     pub fn bring_up(&self, group: &mut dyn DriveGroup) -> Poll<Result<(), BringUpError>> {
-        let before = self.frames.iter().take_while(|received| !is_sync(&received.frame));
+        let before = self.frames[..self.first_cycle()].iter();
         // The run listened long enough before its first frame.
         if let Poll::Ready(ended) = group.bring_up(Instant::ZERO) {
             return Poll::Ready(ended);
@@ -83,6 +90,10 @@ impl Recording {
 
 fn is_sync(frame: &Frame) -> bool {
     frame.standard_data_id() == Some(cob::SYNC)
+}
+
+fn is_set_point(frame: &Frame) -> bool {
+    matches!(frame.standard_data_id().and_then(cob::Function::of), Some(cob::Function::Rpdo(..)))
 }
 
 fn is_from_host(frame: &Frame, host_node: NodeId) -> bool {
@@ -125,15 +136,16 @@ mod tests {
             (5, 0x701),
             (5, 0x601),
             (5, 0x581),
+            (5, 0x080), // of bring-up
             (4, 0x080),
             (20, 0x201),
             (20, 0x77F),
             (30, 0x081),
             (30, 0x181),
         ]);
-        let host = [(5, 0x000), (7, 0x601), (9, 0x080), (20, 0x201), (21, 0x77F)];
+        let host = [(5, 0x000), (7, 0x601), (9, 0x080), (10, 0x080), (20, 0x201), (21, 0x77F)];
         assert_eq!(ids(recording.from_host()), host);
-        assert_eq!(recording.syncs().collect::<Vec<_>>(), [Instant::from_nanos(9)]);
+        assert_eq!(recording.syncs().collect::<Vec<_>>(), [Instant::from_nanos(10)]);
         let mut into = [recording.frames[0]; 8];
         let (mut port, _peer) = recording.port();
         let count = can::Port::receive(&mut port, Instant::from_nanos(100), &mut into).unwrap();
