@@ -26,7 +26,7 @@ pub enum Fault {
     Silent { node: u8, cycles: u32 },
     /// All answers come `periods` later than in the period of their SYNC: longer than the loop of the axis, or the tolerated
     /// number of missing answers, permits. A SYNC that was left out proved the latency.
-    #[error("node {node}: answers come {latency:.1?} after SYNC, {periods} periods late, at most {most:.1?} permitted")]
+    #[error("node {node}: answers come {latency:.1?} after SYNC, {periods} periods late, {most:.1?} permitted")]
     Late { node: u8, periods: u32, latency: Duration, most: Duration },
     /// The port refused the set-point of the node, or even the SYNC, for more cycles than the cell tolerates. The
     /// drive continues with an old set-point.
