@@ -341,7 +341,8 @@ impl<'a> Stage<'a> {
         let (mut anchor, mut still_since) = (places(self), began);
         let mut was_moving = self.phase(0) == Phase::Moving || self.phase(0) == Phase::Homing;
         while self.now.since(began) < case.observed_for {
-            // A long observation ends after the stop, when all axes have been at rest. A loop may close its last error slowly.
+            // A long observation ends after the stop, when all axes have been at rest: a loop may close its last error
+            // slowly.
             let rested = self.now.since(still_since) >= REST;
             let over = observed.detected.is_some_and(|(at, _)| rested && self.now.since(began + at) >= STOPPED);
             if over {
