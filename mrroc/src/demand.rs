@@ -139,7 +139,7 @@ impl RobotDemand {
         };
         let heaviest = given.emulated_payload.iter().max_by(|a, b| a.mass.total_cmp(&b.mass));
         let mechanism = |payload: Option<&EmulatedPayload>| {
-            let mechanism = Mechanism::new(given.parameters.unwrap_or(given.model.parameters()).mechanism()?);
+            let mechanism = Mechanism::new(given.numbers().mechanism()?);
             let homes = file.arms[robot].robot().home();
             for number in 0..given.axis.len() {
                 mechanism.mount(number, homes[number])?;

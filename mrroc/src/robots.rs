@@ -2,8 +2,10 @@
 //!
 //! A robot keeps [`RobotParameters`] in a file of its own in `controller`. CONTRIBUTING.md has the recipe.
 
+use std::f64::consts::PI;
 use std::sync::Arc;
 
+use nalgebra::{UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 
 use controller::robot::{
@@ -56,7 +58,7 @@ pub enum Model {
 }
 
 /// The parameters of one robot.
-#[derive(Clone, Copy, Debug, Deserialize, Serialize)]
+#[derive(Clone, Debug, Deserialize, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum Parameters {
@@ -97,17 +99,48 @@ impl Parameters {
 
     /// The same numbers with room at home: [`RobotParameters::with_room_at_home`].
     #[must_use]
-    pub fn with_room_at_home(mut self, motors: &[f64]) -> Self {
-        each_robot!(&mut self, it => *it = it.with_room_at_home(motors));
-        self
+    pub fn with_room_at_home(self, motors: &[f64]) -> Self {
+        match self {
+            Self::Irb6(it) => Self::Irb6(it.with_room_at_home(motors)),
+            Self::Irp6(it) => Self::Irp6(it.with_room_at_home(motors)),
+            Self::Irp6Track(it) => Self::Irp6Track(it.with_room_at_home(motors)),
+            Self::Rnt(it) => Self::Rnt(it.with_room_at_home(motors)),
+            Self::Polycrank(it) => Self::Polycrank(it.with_room_at_home(motors)),
+            Self::Gripper(it) => Self::Gripper(it.with_room_at_home(motors)),
+            Self::Conveyor(it) => Self::Conveyor(it.with_room_at_home(motors)),
+        }
+    }
+
+    /// Nominal masses of its links.
+    pub fn masses(&self) -> Vec<Mass> {
+        each_robot!(self, it => it.masses())
+    }
+
+    /// The direction against gravity in its base frame.
+    pub fn up(&self) -> [f64; 3] {
+        each_robot!(self, it => it.up())
+    }
+
+    /// The rotation from the base to axes whose z points upward.
+    pub(crate) fn upright_from_base(&self) -> UnitQuaternion<f64> {
+        let turned = UnitQuaternion::rotation_between(&self.up().into(), &Vector3::z());
+        turned.unwrap_or_else(|| UnitQuaternion::from_axis_angle(&Vector3::x_axis(), PI))
+    }
+
+    /// Whether joint `axis` is linear: its position is in m.
+    pub fn is_linear(&self, axis: usize) -> bool {
+        match self {
+            Self::Gripper(_) | Self::Conveyor(_) => true,
+            Self::Irp6Track(_) => axis == 0,
+            // The extension of the central leg.
+            Self::Rnt(_) => axis == 2,
+            Self::Irb6(_) | Self::Irp6(_) | Self::Polycrank(_) => false,
+        }
     }
 
     /// How many axes the robot has.
     pub fn axes(&self) -> usize {
-        fn axes<T: RobotParameters>(_: &T) -> usize {
-            T::AXES
-        }
-        each_robot!(self, it => axes(it))
+        each_robot!(self, it => it.axes())
     }
 
     /// Plants that its axes can have.
@@ -165,17 +198,6 @@ impl Parameters {
 }
 
 impl Model {
-    /// Whether joint `axis` is linear: its position is in m.
-    pub fn is_linear(self, axis: usize) -> bool {
-        match self {
-            Self::Gripper | Self::Conveyor => true,
-            Self::Irp6Track | Self::Irp6TrackCalibrated => axis == 0,
-            // The extension of the central leg.
-            Self::Rnt => axis == 2,
-            Self::Irb6 | Self::Irp6 | Self::Irp6Calibrated | Self::Polycrank => false,
-        }
-    }
-
     /// All models.
     pub const ALL: [Self; 9] = [
         Self::Irb6,
@@ -218,21 +240,6 @@ impl Model {
             Self::Conveyor => Parameters::Conveyor(ConveyorParameters::belt()),
         }
     }
-
-    /// How many axes it has.
-    pub fn axes(self) -> usize {
-        self.parameters().axes()
-    }
-
-    /// Nominal masses of its links.
-    pub fn masses(self) -> &'static [Mass] {
-        each_robot!(self.parameters(), it => it.masses())
-    }
-
-    /// The direction against gravity in its base frame.
-    pub fn up(self) -> [f64; 3] {
-        each_robot!(self.parameters(), it => it.up())
-    }
 }
 
 const AS_MANY: &str = "a parsed robot has as many axes as its model";
@@ -269,7 +276,7 @@ mod tests {
                 assert!(ratings.is_empty(), "{model:?} has no links");
                 continue;
             }
-            assert_eq!(ratings.len(), model.axes(), "{model:?}");
+            assert_eq!(ratings.len(), parameters.axes(), "{model:?}");
             for (number, rating) in ratings.iter().enumerate() {
                 let emulated = parameters.plant(Plant::Physical, number, 0.0);
                 let PlantConfig::Physical(motor) = emulated.plant else { panic!("a physical plant") };

@@ -20,7 +20,6 @@ use drive::wrench::{RehearsedWrench, SerialWrenchSensor, WrenchLink};
 use serial::Line;
 use servo::{CycleLaw, EffectorConfig, EffectorLink, HostHoming, Servo, ServoAxisConfig, ServoConfig};
 
-use crate::bench::plants::upright_from_base;
 use crate::cell::{
     Bus, CellFile, DeviceConfiguration, ENABLING, ForceLaw, Homing, IoNode, Path, Robot, Serial, Ultrasonic,
 };
@@ -174,7 +173,7 @@ pub fn force_sensors(file: &CellFile, links: &[WrenchLink], robots: &[EffectorLi
         let (given, robot) = (&file.cell.force_sensor[number], file.cell.robot_of_sensor(number));
         let config = ForceSensorConfig {
             arm: file.arms[robot].clone(),
-            upright_from_base: upright_from_base(file.cell.robot[robot].model),
+            upright_from_base: file.cell.robot[robot].numbers().upright_from_base(),
             flange_from_sensor: given.flange_from_sensor(),
             lag: given.tool_lag(),
             load: given.load().expect("a parsed cell has sound tools"),
@@ -194,7 +193,7 @@ pub fn install_laws(file: &CellFile, servo: &mut Servo, sensors: &[ForceTorque])
         let load = given.load().expect("a parsed cell has sound tools");
         let config = PositionForceConfig {
             arm: file.arms[robot].clone(),
-            upright_from_base: upright_from_base(file.cell.robot[robot].model),
+            upright_from_base: file.cell.robot[robot].numbers().upright_from_base(),
             flange_from_sensor: given.flange_from_sensor(),
             lag: given.tool_lag(),
             load: (!load.is_none()).then_some(load),

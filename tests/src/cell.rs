@@ -135,7 +135,7 @@ impl Setup {
     /// Mechanism behind the axes of the robot; `None` for gripper and conveyor.
     fn mechanism(&self) -> Option<Mechanism> {
         let robot = &self.cell.robot[0];
-        let parameters = robot.parameters.unwrap_or(robot.model.parameters());
+        let parameters = robot.numbers();
         parameters.mechanism().map(Mechanism::new)
     }
 

@@ -96,7 +96,8 @@ fn flange_in_a_scene_is_where_the_kinematics_has_it() {
 #[test]
 fn links_weigh_on_motors_what_they_weigh_in_the_emulators() {
     for (model, parameters, config) in mechanisms() {
-        let robot = parameters.unwrap_or(model.parameters()).kinematics().unwrap();
+        let numbers = parameters.unwrap_or(model.parameters());
+        let robot = numbers.kinematics().unwrap();
         let zero = home(&*robot, config);
         let load = Mass { mass: 3.0, centre: [0.02, -0.03, 0.1] };
         // The emulated flange of the RNT is 100 mm beyond the centre of the wrist. The robot's own flange is at the
@@ -106,7 +107,7 @@ fn links_weigh_on_motors_what_they_weigh_in_the_emulators() {
             carried[2] -= 0.1;
         }
         for (load, of_load) in [(Mass::default(), 0.0), (load, load.mass)] {
-            let weight = Weight::new(&*robot, model.masses(), load, model.up()).unwrap();
+            let weight = Weight::new(&*robot, &numbers.masses(), load, numbers.up()).unwrap();
             let (mut worst, mut poses) = (0.0_f64, 0);
             for number in 0..200 {
                 let joints = joints(&*robot, number);

@@ -248,7 +248,9 @@ fn within(limits: &Limits, value: f64, space: Space) -> Result<(), KinematicsErr
 }
 
 impl RobotParameters for GripperParameters {
-    const AXES: usize = 1;
+    fn axes(&self) -> usize {
+        1
+    }
 
     fn robot(&self) -> Result<Arc<dyn Robot>, ParameterError> {
         Ok(Arc::new(LinearDevice::gripper(self)?))
@@ -264,7 +266,9 @@ impl RobotParameters for GripperParameters {
 }
 
 impl RobotParameters for ConveyorParameters {
-    const AXES: usize = 1;
+    fn axes(&self) -> usize {
+        1
+    }
 
     fn robot(&self) -> Result<Arc<dyn Robot>, ParameterError> {
         Ok(Arc::new(LinearDevice::conveyor(self)?))

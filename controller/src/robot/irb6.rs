@@ -139,7 +139,9 @@ impl Robot for Irb6 {
 }
 
 impl RobotParameters for Irb6Parameters {
-    const AXES: usize = 5;
+    fn axes(&self) -> usize {
+        5
+    }
 
     fn robot(&self) -> Result<Arc<dyn Robot>, ParameterError> {
         Ok(Arc::new(Irb6::new(self)?))
@@ -150,19 +152,17 @@ impl RobotParameters for Irb6Parameters {
     }
 
     // With a gripper along the roll axis.
-    fn masses(&self) -> &'static [Mass] {
-        const {
-            &[
-                Mass::new(45.0, [0.0; 3]),
-                Mass::new(12.0, [0.20, 0.0, 0.0]),
-                Mass::new(14.0, [0.25, 0.0, 0.0]),
-                Mass::new(4.0, [0.0475, 0.0, 0.0]),
-                Mass::new(1.35, [0.0, 0.0, 0.15]),
-            ]
-        }
+    fn masses(&self) -> Vec<Mass> {
+        vec![
+            Mass::new(45.0, [0.0; 3]),
+            Mass::new(12.0, [0.20, 0.0, 0.0]),
+            Mass::new(14.0, [0.25, 0.0, 0.0]),
+            Mass::new(4.0, [0.0475, 0.0, 0.0]),
+            Mass::new(1.35, [0.0, 0.0, 0.15]),
+        ]
     }
 
-    fn motors(&self) -> &'static [MotorRating] {
-        &MotorRating::IRP6[..AXES]
+    fn motors(&self) -> Vec<MotorRating> {
+        MotorRating::IRP6[..AXES].to_vec()
     }
 }

@@ -203,7 +203,9 @@ impl Mass {
 }
 
 impl RobotParameters for Irp6Parameters {
-    const AXES: usize = 6;
+    fn axes(&self) -> usize {
+        6
+    }
 
     fn robot(&self) -> Result<Arc<dyn Robot>, ParameterError> {
         Ok(Arc::new(Irp6::new(self)?))
@@ -213,11 +215,11 @@ impl RobotParameters for Irp6Parameters {
         Self { arm: self.arm.with_room_at_home(motors), hand: self.hand.with_room(room(motors, 5), 0.0) }
     }
 
-    fn masses(&self) -> &'static [Mass] {
-        &Mass::IRP6
+    fn masses(&self) -> Vec<Mass> {
+        Mass::IRP6.to_vec()
     }
 
-    fn motors(&self) -> &'static [MotorRating] {
-        &MotorRating::IRP6
+    fn motors(&self) -> Vec<MotorRating> {
+        MotorRating::IRP6.to_vec()
     }
 }

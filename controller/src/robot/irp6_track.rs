@@ -295,7 +295,9 @@ fn on_carriage(mut error: KinematicsError) -> KinematicsError {
 }
 
 impl RobotParameters for Irp6TrackParameters {
-    const AXES: usize = 7;
+    fn axes(&self) -> usize {
+        7
+    }
 
     fn robot(&self) -> Result<Arc<dyn Robot>, ParameterError> {
         Ok(Arc::new(Irp6Track::new(self)?))
@@ -308,20 +310,15 @@ impl RobotParameters for Irp6TrackParameters {
         }
     }
 
-    fn masses(&self) -> &'static [Mass] {
-        const MASSES: [Mass; AXES] = {
-            let [column, lower_arm, upper_arm, pitch, roll, hand] = Mass::IRP6;
-            let carriage = Mass::new(60.0, [0.0; 3]);
-            [carriage, column, lower_arm, upper_arm, pitch, roll, hand]
-        };
-        &MASSES
+    fn masses(&self) -> Vec<Mass> {
+        let [column, lower_arm, upper_arm, pitch, roll, hand] = Mass::IRP6;
+        let carriage = Mass::new(60.0, [0.0; 3]);
+        vec![carriage, column, lower_arm, upper_arm, pitch, roll, hand]
     }
 
     // The track has the motor of the column.
-    fn motors(&self) -> &'static [MotorRating] {
-        const {
-            let [column, lower_arm, upper_arm, pitch, roll, hand] = MotorRating::IRP6;
-            &[column, column, lower_arm, upper_arm, pitch, roll, hand]
-        }
+    fn motors(&self) -> Vec<MotorRating> {
+        let [column, lower_arm, upper_arm, pitch, roll, hand] = MotorRating::IRP6;
+        vec![column, column, lower_arm, upper_arm, pitch, roll, hand]
     }
 }

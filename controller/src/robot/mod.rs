@@ -80,9 +80,9 @@ pub use weight::{Mass, Weight, WeightError};
 pub type Jacobian = SMatrix<f64, 6, MAX_AXES>;
 
 /// The numbers of one robot.
-pub trait RobotParameters: Copy {
-    /// Axes of the robot.
-    const AXES: usize;
+pub trait RobotParameters: Clone {
+    /// Number of axes of the robot.
+    fn axes(&self) -> usize;
 
     /// The robot of these numbers, or what is wrong with them.
     fn robot(&self) -> Result<Arc<dyn Robot>, ParameterError>;
@@ -93,13 +93,13 @@ pub trait RobotParameters: Copy {
     fn with_room_at_home(self, motors: &[f64]) -> Self;
 
     /// Nominal masses of the links: plausible figures, to be replaced by those of the machine at hand.
-    fn masses(&self) -> &'static [Mass] {
-        &[]
+    fn masses(&self) -> Vec<Mass> {
+        Vec::new()
     }
 
     /// Nominal ratings of the motors, in the order of the axes. A robot without links needs none.
-    fn motors(&self) -> &'static [MotorRating] {
-        &[]
+    fn motors(&self) -> Vec<MotorRating> {
+        Vec::new()
     }
 
     /// The direction against gravity in the base frame.

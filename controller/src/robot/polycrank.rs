@@ -357,7 +357,9 @@ impl Robot for Polycrank {
 }
 
 impl RobotParameters for PolycrankParameters {
-    const AXES: usize = 7;
+    fn axes(&self) -> usize {
+        7
+    }
 
     fn robot(&self) -> Result<Arc<dyn Robot>, ParameterError> {
         Ok(Arc::new(Polycrank::new(self)?))
@@ -372,18 +374,16 @@ impl RobotParameters for PolycrankParameters {
     }
 
     // Rods from joint to joint.
-    fn masses(&self) -> &'static [Mass] {
-        const {
-            &[
-                Mass::new(12.0, [-0.1495, 0.0, 0.110]),
-                Mass::new(9.0, [0.090, 0.0, 0.076]),
-                Mass::new(7.0, [0.0, 0.0, 0.1675]),
-                Mass::new(4.0, [0.0755, 0.0, 0.060]),
-                Mass::new(3.5, [0.0755, 0.0, 0.058]),
-                Mass::new(1.5, [0.0, 0.0, 0.030]),
-                Mass::new(0.6, [0.0, 0.0, -0.0215]),
-            ]
-        }
+    fn masses(&self) -> Vec<Mass> {
+        vec![
+            Mass::new(12.0, [-0.1495, 0.0, 0.110]),
+            Mass::new(9.0, [0.090, 0.0, 0.076]),
+            Mass::new(7.0, [0.0, 0.0, 0.1675]),
+            Mass::new(4.0, [0.0755, 0.0, 0.060]),
+            Mass::new(3.5, [0.0755, 0.0, 0.058]),
+            Mass::new(1.5, [0.0, 0.0, 0.030]),
+            Mass::new(0.6, [0.0, 0.0, -0.0215]),
+        ]
     }
 
     // Of the two directions that the level axis 1 leaves open x is taken (nominal).
@@ -392,10 +392,8 @@ impl RobotParameters for PolycrankParameters {
     }
 
     // 24 A at 0.4 N·m/A, 10 A and 4 A at 0.2 N·m/A.
-    fn motors(&self) -> &'static [MotorRating] {
-        const {
-            let (crank, forearm) = (MotorRating::new(250.0, 9.6), MotorRating::new(250.0, 2.0));
-            &[crank, crank, crank, forearm, forearm, forearm, MotorRating::new(250.0, 0.8)]
-        }
+    fn motors(&self) -> Vec<MotorRating> {
+        let (crank, forearm) = (MotorRating::new(250.0, 9.6), MotorRating::new(250.0, 2.0));
+        vec![crank, crank, crank, forearm, forearm, forearm, MotorRating::new(250.0, 0.8)]
     }
 }

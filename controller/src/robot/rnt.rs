@@ -376,7 +376,9 @@ impl LegAxis {
 }
 
 impl RobotParameters for RntParameters {
-    const AXES: usize = 6;
+    fn axes(&self) -> usize {
+        6
+    }
 
     fn robot(&self) -> Result<Arc<dyn Robot>, ParameterError> {
         Ok(Arc::new(Rnt::new(self)?))
@@ -397,17 +399,15 @@ impl RobotParameters for RntParameters {
     }
 
     // The platform with its share of the legs, then the wrist. The frames of alpha and beta stand.
-    fn masses(&self) -> &'static [Mass] {
-        const {
-            &[
-                Mass::new(0.0, [0.0; 3]),
-                Mass::new(0.0, [0.0; 3]),
-                Mass::new(30.0, [0.0; 3]),
-                Mass::new(5.0, [0.0; 3]),
-                Mass::new(4.0, [0.0, 0.0, 0.05]),
-                Mass::new(3.0, [0.0, 0.0, 0.175]),
-            ]
-        }
+    fn masses(&self) -> Vec<Mass> {
+        vec![
+            Mass::new(0.0, [0.0; 3]),
+            Mass::new(0.0, [0.0; 3]),
+            Mass::new(30.0, [0.0; 3]),
+            Mass::new(5.0, [0.0; 3]),
+            Mass::new(4.0, [0.0, 0.0, 0.05]),
+            Mass::new(3.0, [0.0, 0.0, 0.175]),
+        ]
     }
 
     // It hangs.
@@ -416,10 +416,8 @@ impl RobotParameters for RntParameters {
     }
 
     // Legs at 15 A, wrist at 8 A, 0.105 N·m/A.
-    fn motors(&self) -> &'static [MotorRating] {
-        const {
-            let (leg, wrist) = (MotorRating::new(200.0, 1.575), MotorRating::new(200.0, 0.84));
-            &[leg, leg, leg, wrist, wrist, wrist]
-        }
+    fn motors(&self) -> Vec<MotorRating> {
+        let (leg, wrist) = (MotorRating::new(200.0, 1.575), MotorRating::new(200.0, 0.84));
+        vec![leg, leg, leg, wrist, wrist, wrist]
     }
 }

@@ -2,7 +2,6 @@
 
 use std::cell::{Cell, RefCell};
 use std::collections::VecDeque;
-use std::f64::consts::PI;
 use std::time::Duration;
 
 use can::Instant;
@@ -10,10 +9,9 @@ use canopen::cia402::HomingMethod;
 use controller::robot::Limits;
 use hil::scene::BeamProbe;
 use hil::{AxisConfig, InputProbe, Mechanism, Mount, OutputProbe, plant::PlantConfig};
-use nalgebra::{UnitQuaternion, Vector3};
 
 use crate::bench::drive_ids::DriveIds;
-use crate::cell::{CellFile, EmulatedPayload, Model, Path, Robot};
+use crate::cell::{CellFile, EmulatedPayload, Path};
 
 /// A cell whose devices are emulated.
 pub struct EmulatedCell<'a> {
@@ -38,9 +36,7 @@ pub struct EmulatedCell<'a> {
 impl<'a> EmulatedCell<'a> {
     /// All mechanisms at home and without payloads.
     pub fn of(file: &'a CellFile) -> Self {
-        let mechanism =
-            |robot: &Robot| robot.parameters.unwrap_or(robot.model.parameters()).mechanism().map(Mechanism::new);
-        let mechanisms = file.cell.robot.iter().map(mechanism).collect();
+        let mechanisms = file.cell.robot.iter().map(|robot| robot.numbers().mechanism().map(Mechanism::new)).collect();
         let scene = file.cell.scene.as_ref();
         let [grippers, cutters, gates, probes] = scene.map_or([0; 4], |scene| {
             [scene.gripper.len(), scene.cutter.len(), scene.gate.len(), scene.touch_probe.len()]
@@ -70,12 +66,6 @@ impl<'a> EmulatedCell<'a> {
         let home = self.file.arms[robot].robot().home()[number];
         self.mechanisms[robot].as_ref()?.mount(number, home)
     }
-}
-
-/// The rotation from the base of a robot to axes whose z points upward.
-pub fn upright_from_base(model: Model) -> UnitQuaternion<f64> {
-    let turned = UnitQuaternion::rotation_between(&model.up().into(), &Vector3::z());
-    turned.unwrap_or_else(|| UnitQuaternion::from_axis_angle(&Vector3::x_axis(), PI))
 }
 
 /// The emulated payloads of a cell, in order of time.
@@ -140,7 +130,7 @@ pub fn homing_problem(file: &CellFile, (robot, number): (usize, usize)) -> Optio
 pub fn plant(file: &CellFile, robot: usize, number: usize) -> AxisConfig {
     let axis = &file.cell.robot[robot].axis[number];
     let home = file.arms[robot].robot().home()[number];
-    let preset = file.cell.robot[robot].model.parameters().plant(axis.emulator.plant, number, home);
+    let preset = file.cell.robot[robot].numbers().plant(axis.emulator.plant, number, home);
     let mut plant = AxisConfig {
         counts_per_revolution: axis.counts_per_revolution(),
         start_angle: axis.emulator.start.unwrap_or(preset.start_angle),

@@ -9,7 +9,7 @@ use hil::scene::{
 use hil::{Mechanism, Scene};
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 
-use crate::bench::plants::{EmulatedCell, upright_from_base};
+use crate::bench::plants::EmulatedCell;
 use crate::cell::{EmulatedBar, EmulatedBlock, EmulatedPlane, Robot};
 
 /// The scene of a cell, and what its devices measure.
@@ -111,12 +111,12 @@ impl EmulatedCell<'_> {
 
 /// Place of the base frame of a robot in the frame of the cell.
 pub(super) fn base_of(robot: &Robot) -> Isometry3<f64> {
-    robot.base.pose() * robot.emulated_base_error.pose() * upright_from_base(robot.model)
+    robot.base.pose() * robot.emulated_base_error.pose() * robot.numbers().upright_from_base()
 }
 
 /// Adds a robot, and returns its flange frame of the cell file in the flange frame of the mechanism.
 fn add_robot(scene: &mut Scene, mechanism: &Mechanism, robot: &Robot) -> (RobotId, Isometry3<f64>) {
-    let (base, flange) = robot.parameters.unwrap_or(robot.model.parameters()).mechanism_frames();
+    let (base, flange) = robot.numbers().mechanism_frames();
     (scene.add_robot(mechanism, &(base_of(robot) * base)).expect(SOUND), flange)
 }
 

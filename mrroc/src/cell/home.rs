@@ -17,7 +17,7 @@ impl Cell {
     /// Like [`Robot::arm`](super::Robot::arm) for robot `robot`, with room for homing in each range that ends at home.
     pub fn arm(&self, robot: usize) -> Result<Arm, ParameterError> {
         let given = &self.robot[robot];
-        let parameters = given.parameters.unwrap_or(given.model.parameters());
+        let parameters = given.numbers();
         let roomy = super::Robot {
             parameters: Some(parameters.with_room_at_home(&self.home_tolerances(robot))),
             ..given.clone()

@@ -42,7 +42,6 @@ use controller::generator::Pose;
 use controller::robot::{self, Arm, Mass, ParameterError, Weight, WeightError};
 use servo::KeyProblem;
 
-use crate::bench::plants::upright_from_base;
 pub use crate::robots::{Model, Parameters};
 pub use axis_controller::{AxisController, Loop, Serial};
 pub use camera::{Camera, CameraEmulator};
@@ -222,7 +221,7 @@ impl Robot {
     /// Kinematics, tool and weight of the robot, or the error in its parameters.
     pub fn arm(&self) -> Result<Arm, ParameterError> {
         let robot = self.kinematics()?;
-        let weight = self.weight.as_ref().map(|weights| weights.of(self.model, &*robot));
+        let weight = self.weight.as_ref().map(|weights| weights.of(&self.numbers(), &*robot));
         let arm = Arm::new(robot, Pose::translation(self.tool[0], self.tool[1], self.tool[2]));
         Ok(match weight.transpose().map_err(ParameterError::Weight)? {
             Some(weight) => arm.weighing(weight),
@@ -253,12 +252,17 @@ impl Robot {
 
     /// Pose of the base frame of the kinematics in the frame of the cell.
     pub fn cell_from_base(&self) -> Pose {
-        self.base.pose() * upright_from_base(self.model)
+        self.base.pose() * self.numbers().upright_from_base()
+    }
+
+    /// The parameters of the robot: its own, or those of its model.
+    pub fn numbers(&self) -> Parameters {
+        self.parameters.clone().unwrap_or_else(|| self.model.parameters())
     }
 
     /// Kinematics and drive train, or the error in the parameters.
     pub fn kinematics(&self) -> Result<Arc<dyn robot::Robot>, ParameterError> {
-        self.parameters.unwrap_or(self.model.parameters()).kinematics()
+        self.numbers().kinematics()
     }
 }
 
@@ -473,10 +477,10 @@ pub struct Weights {
 }
 
 impl Weights {
-    /// The weight of `robot`, whose model is `model`.
-    pub(super) fn of(&self, model: Model, robot: &dyn robot::Robot) -> Result<Weight, WeightError> {
-        let masses = self.masses.as_deref().unwrap_or(model.masses());
-        Weight::new(robot, masses, self.load, self.up.unwrap_or(model.up()))
+    /// The weight of `robot`, whose parameters are `numbers`.
+    pub(super) fn of(&self, numbers: &Parameters, robot: &dyn robot::Robot) -> Result<Weight, WeightError> {
+        let masses = self.masses.clone().unwrap_or_else(|| numbers.masses());
+        Weight::new(robot, &masses, self.load, self.up.unwrap_or(numbers.up()))
     }
 }
 

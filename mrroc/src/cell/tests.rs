@@ -389,7 +389,7 @@ fn a_model_has_one_name_and_the_axes_of_its_robot() {
     for model in Model::ALL {
         assert_eq!(toml::Value::try_from(model).unwrap().as_str(), Some(model.name()));
         let robot = model.parameters().kinematics().unwrap();
-        assert_eq!(robot.axes(), model.axes(), "{}", model.name());
+        assert_eq!(robot.axes(), model.parameters().axes(), "{}", model.name());
     }
 }
 

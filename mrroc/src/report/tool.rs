@@ -82,7 +82,7 @@ impl Tracks {
         let robots = file.cell.robot.iter().zip(&file.arms);
         let track = |(robot, arm): (&crate::cell::Robot, &Arm)| {
             // A gripper and a conveyor have one axis and carry no tool.
-            let subject = if robot.model.axes() > 1 { Subject::Tool } else { Subject::Joint };
+            let subject = if robot.numbers().axes() > 1 { Subject::Tool } else { Subject::Joint };
             Track::new(&robot.name, arm.clone(), subject, plotted)
         };
         let axes = |(number, robot): (usize, &crate::cell::Robot)| {

@@ -206,7 +206,8 @@ fn on_lines(cell: &mut Cell) {
     cell.watchdog = Some("/dev/watchdog".into());
     let robot = &mut cell.robot[0];
     let load = Mass { mass: 1.0, centre: [0.0, 0.0, 0.1] };
-    robot.weight = Some(Weights { masses: Some(robot.model.masses().to_vec()), load, up: Some(robot.model.up()) });
+    let numbers = robot.numbers();
+    robot.weight = Some(Weights { masses: Some(numbers.masses()), load, up: Some(numbers.up()) });
     robot.axis[0].homing.direction = Some(Direction::Negative);
     robot.axis[0].homing.reverse_at_limit = Some(true);
     robot.axis[1].emulator.address = Some(robot.axis[1].node);

@@ -52,7 +52,7 @@ mod tests {
         for model in Model::ALL {
             let machine = machine(model);
             let Drawing::Arm(views) = described(&machine.parameters).drawing else {
-                assert_eq!(model.axes(), 1, "{}", model.name());
+                assert_eq!(model.parameters().axes(), 1, "{}", model.name());
                 continue;
             };
             for view in views(&machine) {

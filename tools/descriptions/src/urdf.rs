@@ -81,7 +81,7 @@ fn write(
         writeln!(text, "-->")?;
     }
     writeln!(text, "<robot name=\"{}\">", escaped(&machine.name))?;
-    match (around, machine.parameters) {
+    match (around, &machine.parameters) {
         (Some((scene, world_from_base)), _) => scene::write(text, prefix, scene, world_from_base)?,
         (None, Parameters::Polycrank(_)) => mounting(text, prefix)?,
         (None, _) => {}

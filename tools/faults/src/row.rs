@@ -172,10 +172,10 @@ fn joint_per_motor(file: &CellFile, axis: usize) -> (f64, bool) {
     let (Some(low), Some(high)) = (at(-0.5), at(0.5)) else {
         return (f64::NAN, false);
     };
-    let model = file.cell.robot[0].model;
-    let linear = model.is_linear(axis);
+    let numbers = file.cell.robot[0].numbers();
+    let linear = numbers.is_linear(axis);
     // A coupled motor moves several joints: the most moved one counts.
-    let joints = (0..arm.axes()).filter(|joint| model.is_linear(*joint) == linear);
+    let joints = (0..arm.axes()).filter(|joint| numbers.is_linear(*joint) == linear);
     let moved = joints.map(|joint| (high[joint] - low[joint]).abs()).fold(0.0, f64::max);
     (if linear { moved * 1e3 } else { moved.to_degrees() }, linear)
 }

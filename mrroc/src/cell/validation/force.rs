@@ -76,7 +76,7 @@ pub(super) fn check_robot(cell: &Cell, path: &Path, robot: &str, key: &'static s
         let known: Vec<_> = cell.robot.iter().map(|robot| robot.name.as_str()).collect();
         return refused(path, key, format!("no robot is called {}, only {}", quoted(robot), known.join(", ")));
     };
-    if found.model.parameters().mechanism().is_none() {
+    if found.numbers().mechanism().is_none() {
         return refused(path, key, format!("is {}, which has no flange: name an arm", quoted(robot)));
     }
     if let Some(axis) = found.axis.iter().find(|it| it.emulator.plant == Plant::Wut) {

@@ -18,7 +18,7 @@ pub(super) fn check(cell: &Cell) -> Checked {
         check_parameters(&path, robot)?;
         let kinematics = robot.kinematics().map_err(|error| (path.then("parameters"), error.to_string()))?;
         let axes = path.then("axis");
-        count(axes.clone(), robot.axis.len(), robot.model.axes(), "axes")?;
+        count(axes.clone(), robot.axis.len(), robot.numbers().axes(), "axes")?;
         let (limits, home) = (kinematics.motor_limits(), kinematics.home());
         for (number, axis) in robot.axis.iter().enumerate() {
             let path = axes.then(number);
@@ -28,7 +28,7 @@ pub(super) fn check(cell: &Cell) -> Checked {
                 return refused(&path, "bus", format!("no bus is called {}", quoted(&axis.bus)));
             };
             axis::check(&path, cell.period(), axis, place, limits[number], home[number])?;
-            if !robot.model.parameters().plants().contains(&axis.emulator.plant) {
+            if !robot.numbers().plants().contains(&axis.emulator.plant) {
                 let why = "is wut, which is known of the robots on pedestals only: use physical";
                 return refused(&path.then("emulator"), "plant", why);
             }
@@ -80,7 +80,7 @@ fn check_parameters(path: &Path, robot: &Robot) -> Checked {
 fn check_payloads(payloads: &Path, robot: &Robot) -> Checked {
     for (number, payload) in robot.emulated_payload.iter().enumerate() {
         let path = payloads.then(number);
-        if robot.model.parameters().mechanism().is_none() {
+        if robot.numbers().mechanism().is_none() {
             let why = "is of a robot whose emulated axes carry no common load: leave it out";
             return refused(payloads, number, why);
         }

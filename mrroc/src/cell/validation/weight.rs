@@ -27,7 +27,7 @@ pub(super) fn check(robot: &Path, given: &Robot, kinematics: &dyn controller::ro
         };
         (place, error.to_string())
     };
-    let weight = weights.of(given.model, kinematics).map_err(at)?;
+    let weight = weights.of(&given.numbers(), kinematics).map_err(at)?;
     let torques = weight.torque(kinematics, &kinematics.home());
     let torques = torques.map_err(|error| (path.clone(), format!("at home: {}", given.naming_axes(error))))?;
     axes.try_for_each(|(number, axis)| {

@@ -100,7 +100,7 @@ fn links(page: &mut String, machine: &Machine) {
          | link | mass, kg | centre, m | motor velocity, rad/s | motor torque, N·m | tag | source |\n\
          |---|--:|---|--:|--:|---|---|\n",
     );
-    let (masses, motors) = mrroc::each_robot!(machine.parameters, it => (it.masses(), it.motors()));
+    let (masses, motors) = mrroc::each_robot!(&machine.parameters, it => (it.masses(), it.motors()));
     for (number, link) in links.iter().enumerate() {
         let (mass, motor) = (machine.masses.get(number), machine.motors.get(number));
         let (Some(of_link), Some(of_motor)) = (mass, motor) else {

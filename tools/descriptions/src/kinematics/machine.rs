@@ -63,20 +63,20 @@ impl Machine {
             let names = file.cell.robot.iter().map(|robot| robot.name.as_str());
             unknown(&format!("{} has no robot", path.display()), robot, names)
         })?;
-        Self::of(robot.clone(), found.parameters.unwrap_or_else(|| found.model.parameters()))
-            .map(|of| of.in_cell(found))
+        Self::of(robot.clone(), found.numbers()).map(|of| of.in_cell(found))
     }
 
     /// The machine of a model.
     fn of(name: String, parameters: Parameters) -> anyhow::Result<Self> {
+        let caution = described(&parameters).caution;
         Ok(Self {
             name,
             robot: parameters.kinematics()?,
-            caution: described(&parameters).caution,
+            caution,
             prefix: String::new(),
-            masses: mrroc::each_robot!(parameters, it => it.masses()).to_vec(),
+            masses: parameters.masses(),
             load: Mass::default(),
-            motors: mrroc::each_robot!(parameters, it => it.motors()).to_vec(),
+            motors: mrroc::each_robot!(&parameters, it => it.motors()),
             source: "Velocities and efforts are those of the model's motors (nominal).",
             tool: [0.0; 3],
             parameters,

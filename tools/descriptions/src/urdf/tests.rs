@@ -47,7 +47,7 @@ fn every_moving_joint_has_a_velocity_and_an_effort() {
         let text = of_cell(model.name(), None);
         for attribute in ["effort", "velocity"] {
             let values = values(&text, attribute);
-            assert_eq!(values.len(), model.axes(), "{model:?}: {attribute}\n{text}");
+            assert_eq!(values.len(), model.parameters().axes(), "{model:?}: {attribute}\n{text}");
             assert!(values.iter().all(|value| *value > 0.0), "{model:?}: {attribute} {values:?}");
         }
     }
@@ -73,7 +73,7 @@ fn links_have_the_nominal_masses_of_the_model_an_inertia_and_a_collision_shape()
         let text = of_cell(model.name(), None);
         let masses = text.split("<mass value=\"").skip(1);
         let masses: Vec<f64> = masses.map(|part| part.split('"').next().unwrap().parse().unwrap()).collect();
-        let expected: Vec<_> = model.masses().iter().map(|mass| mass.mass.max(LEAST)).collect();
+        let expected: Vec<_> = model.parameters().masses().iter().map(|mass| mass.mass.max(LEAST)).collect();
         assert_eq!(masses, expected, "{model:?}");
         assert!(text.contains("Masses are nominal"), "{model:?}");
         let [x, y, z] = ["ixx", "iyy", "izz"].map(|attribute| values(&text, attribute));
