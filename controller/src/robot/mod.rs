@@ -62,7 +62,7 @@ use servo::MAX_AXES;
 use thiserror::Error;
 
 pub use axis_map::{ConveyorParameters, GripperParameters, LinearDevice};
-pub use chain::{Chain, ChainError, ChainJoint, ChainParameters, LinkBody};
+pub use chain::{Chain, ChainError, ChainJoint, ChainParameters, ClosedForm, LinkBody};
 pub use drive_train::{GearAxis, ScrewAxis};
 pub use irb6::{Irb6, Irb6Parameters};
 pub use irp6::{Irp6, Irp6Parameters};

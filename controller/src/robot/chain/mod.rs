@@ -1,8 +1,9 @@
 //! Kinematics of any serial arm, from a description of its joints.
 //!
 //! [`Chain`] has 1 to 8 joints: revolute, continuous or prismatic. Forward kinematics and the Jacobian follow from the
-//! frames of the joints. Inverse kinematics is a damped Newton's method with a bounded number of starts, whose results
-//! depend on nothing but the arguments.
+//! frames of the joints. Inverse kinematics is a closed form with all branches where the geometry has one
+//! ([`ClosedForm`]), and otherwise a damped Newton's method with a bounded number of starts. Its results depend on
+//! nothing but the arguments.
 //!
 //! | file | content |
 //! |---|---|
@@ -10,13 +11,24 @@
 //! | `geometry.rs` | frames, forward kinematics, Jacobian |
 //! | `drives.rs` | motors from joints, ranges |
 //! | `pose_error.rs` | the error of a posture for a pose |
-//! | `numeric.rs` | the solver for chains without a closed form |
+//! | `numeric.rs` | the solver for any chain |
+//! | `forms.rs` | which closed form a chain has |
+//! | `screws.rs`, `subproblems.rs` | axes of the chain at zero, and subproblems of one rotation |
+//! | `wrist.rs`, `parallel.rs`, `gantry.rs` | the closed forms |
+//! | `branches.rs` | branches made exact, checked against the limits, and sorted |
 
+mod branches;
 mod drives;
+mod forms;
+mod gantry;
 mod geometry;
 mod numeric;
+mod parallel;
 mod parameters;
 mod pose_error;
+mod screws;
+mod subproblems;
+mod wrist;
 
 use std::f64::consts::TAU;
 
@@ -25,10 +37,12 @@ use servo::MAX_AXES;
 
 use super::{Jacobian, Joints, KinematicsError, Limits, Link, Motors, ParameterError, Pose, Robot, Solutions, arm};
 use drives::Drives;
+use forms::Form;
 use geometry::Geometry;
-use numeric::Cost;
+use numeric::{Cost, Starts};
 use pose_error::Target;
 
+pub use forms::ClosedForm;
 pub use parameters::{ChainError, ChainJoint, ChainParameters, LinkBody};
 
 /// A serial arm of 1 to 8 axes.
@@ -46,6 +60,7 @@ pub struct Chain {
     drives: Drives,
     /// Direction in the flange frame about which the tool may turn.
     free_axis: Option<Vector3<f64>>,
+    form: Option<Form>,
     /// Joints that turn a whole turn without an end of their range in the way.
     turns: [bool; MAX_AXES],
     /// A point that stays in its place, and the greatest distance of the flange from the point, m.
@@ -88,8 +103,10 @@ impl Chain {
                 turns[axis] = high - low >= TAU;
             }
         }
+        let free_axis = parameters.free_axis.and_then(parameters::direction);
         Ok(Self {
-            free_axis: parameters.free_axis.and_then(parameters::direction),
+            form: if free_axis.is_none() { Form::find(&geometry) } else { None },
+            free_axis,
             turns,
             root: geometry.root(),
             reach,
@@ -102,21 +119,26 @@ impl Chain {
         })
     }
 
+    /// The closed form of the inverse kinematics, if the geometry has one.
+    pub fn closed_form(&self) -> Option<ClosedForm> {
+        self.form.as_ref().map(Form::name)
+    }
+
     fn target(&self, base_from_flange: &Isometry3<f64>) -> Result<Target, KinematicsError> {
         let (origin, rotation) = arm::parts(base_from_flange)?;
         Ok(Target { origin, rotation, free_axis: self.free_axis })
     }
 
-    /// The result of [`Robot::inverse`] with its cost: starts and steps of the numerical solver.
+    /// The result of the numerical solver alone, with its starts and steps.
     #[cfg(test)]
-    pub(super) fn costly(
+    pub(super) fn numerical(
         &self,
         base_from_flange: &Isometry3<f64>,
         near: &Joints,
     ) -> (Result<Solutions, KinematicsError>, usize, usize) {
         let mut cost = Cost::default();
         let near = near.counted(self.geometry.axes).unwrap();
-        let found = self.search(&self.target(base_from_flange).unwrap(), near, &mut cost);
+        let found = self.search(&self.target(base_from_flange).unwrap(), near, Starts::ALL, &mut cost);
         (found, cost.starts, cost.steps)
     }
 }
@@ -145,7 +167,15 @@ impl Robot for Chain {
 
     fn inverse(&self, base_from_flange: &Isometry3<f64>, near: &Joints) -> Result<Solutions, KinematicsError> {
         let near = near.counted(self.geometry.axes)?;
-        self.search(&self.target(base_from_flange)?, near, &mut Cost::default())
+        let target = self.target(base_from_flange)?;
+        let mut starts = Starts::ALL;
+        if let Some(form) = &self.form {
+            if let Some(found) = self.branches(form, &target, near) {
+                return found;
+            }
+            starts = Starts::FEW;
+        }
+        self.search(&target, near, starts, &mut Cost::default())
     }
 
     fn motors_from_joints(&self, joints: &Joints) -> Result<Motors, KinematicsError> {

@@ -13,8 +13,14 @@ use super::{Chain, geometry::Frames};
 const EXACT: f64 = 1e-9;
 
 /// Largest error of a solution of an arm with fewer than six axes, m and rad. Poses from texts have fewer digits than
-/// an exact pose of such an arm needs.
+/// an exact pose of such an arm needs. An exact solution is preferred.
 const NEARBY: f64 = 1e-6;
+
+/// Number of starts in which an exact solution is sought before a nearby solution is taken.
+const EXACT_STARTS: usize = 4;
+
+/// Part of half a range, from its middle, beyond which a redundant arm moves a joint back.
+const COMFORT: f64 = 0.75;
 
 /// Square of the scaled error that rounding leaves.
 const LEAST: f64 = 1e-29;
@@ -23,17 +29,28 @@ const LEAST: f64 = 1e-29;
 const DONE: f64 = 1e-25;
 
 /// Damping without an error. A singular matrix needs some damping.
-const FLOOR: f64 = 1e-13;
+pub(super) const FLOOR: f64 = 1e-13;
 
 /// Least and greatest factor of the square of the error in the damping.
 const LIGHTEST: f64 = 1e-3;
 const HEAVIEST: f64 = 1e6;
 
-/// Number of starts within the ranges of the joints.
-const STARTS: usize = 64;
+/// Numbers of starts.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Starts {
+    /// Starts within the ranges of the joints.
+    bounded: usize,
+    /// Starts that ignore the ranges of the joints, to tell a pose beyond a limit from a pose out of reach.
+    unbounded: usize,
+}
 
-/// Number of starts that ignore the ranges of the joints, to tell a pose beyond a limit from a pose out of reach.
-const UNLIMITED_STARTS: usize = 8;
+impl Starts {
+    /// Without another method.
+    pub(super) const ALL: Self = Self { bounded: 64, unbounded: 8 };
+
+    /// After a closed form without a solution.
+    pub(super) const FEW: Self = Self { bounded: 8, unbounded: 4 };
+}
 
 /// Most steps from one start.
 const STEPS: usize = 60;
@@ -68,28 +85,37 @@ impl Chain {
         &self,
         target: &Target,
         near: &[f64; MAX_AXES],
+        starts: Starts,
         cost: &mut Cost,
     ) -> Result<Solutions, KinematicsError> {
         self.within_reach(target)?;
         let mut best: Option<Descent> = None;
-        for bounded in [true, false] {
-            for start in 0..if bounded { STARTS } else { UNLIMITED_STARTS } {
-                let mut descent = self.descend(target, self.start(start, near), bounded);
+        for (bounded, starts) in [(true, starts.bounded), (false, starts.unbounded)] {
+            for start in 0..starts {
+                let descent = self.descend(target, self.start(start, near), bounded);
                 cost.starts += 1;
                 cost.steps += descent.steps;
-                if self.solves(&descent.error) {
-                    self.turn(&mut descent.joints, near);
-                    // Without bounds the solution may lie beyond a limit, and this is the reason for the refusal.
-                    self.drives.motors(&descent.joints)?;
-                    return Ok(Joints::from_padded(&descent.joints, self.geometry.axes).into());
+                if self.solves_exactly(&descent.error) {
+                    return self.solution(descent, near);
                 }
                 if best.is_none_or(|best| self.square(&descent.error) < self.square(&best.error)) {
                     best = Some(descent);
+                }
+                if let Some(best) = best.filter(|best| start + 1 >= EXACT_STARTS && self.solves(&best.error)) {
+                    return self.solution(best, near);
                 }
             }
         }
         let error = best.expect("there is at least one start").error;
         Err(self.miss(&error))
+    }
+
+    /// The solution that a start led to. Without bounds the solution may lie beyond a limit, which is the reason for the
+    /// refusal.
+    fn solution(&self, mut descent: Descent, near: &[f64; MAX_AXES]) -> Result<Solutions, KinematicsError> {
+        self.turn(&mut descent.joints, near);
+        self.drives.motors(&descent.joints)?;
+        Ok(Joints::from_padded(&descent.joints, self.geometry.axes).into())
     }
 
     /// Why the nearest posture found is no solution.
@@ -112,6 +138,10 @@ impl Chain {
     pub(super) fn solves(&self, error: &PoseError) -> bool {
         let most = if self.geometry.axes < 6 { NEARBY } else { EXACT };
         error.distance() <= most && error.angle() <= most
+    }
+
+    pub(super) fn solves_exactly(&self, error: &PoseError) -> bool {
+        error.distance() <= EXACT && error.angle() <= EXACT
     }
 
     /// Adds the whole turns to each joint that bring the joint nearest to `near` within its range.
@@ -153,7 +183,7 @@ impl Chain {
     }
 
     /// Square of the error, with lengths in characteristic lengths.
-    fn square(&self, error: &PoseError) -> f64 {
+    pub(super) fn square(&self, error: &PoseError) -> f64 {
         error.scaled(self.length).norm_squared()
     }
 
@@ -210,7 +240,7 @@ impl Chain {
     }
 
     /// One damped step of all joints, or `None` if the equations have no solution.
-    fn step(
+    pub(super) fn step(
         &self,
         target: &Target,
         frames: &Frames,
@@ -253,14 +283,19 @@ impl Chain {
             }
             solve(&mut matrix, &mut parts, free)?;
         } else {
-            // The shortest of all steps: J' (J J' + d)⁻¹ e.
+            // The shortest of all steps, beside a part p that moves joints back from the ends of their ranges by at most
+            // the error: p + J' (J J' + d)⁻¹ (e - J p).
             let mut sides = [0.0; MAX_AXES];
+            let size_of_error = wanted.norm();
+            for (part, &axis) in parts.iter_mut().zip(&of_axis[..free]) {
+                *part = self.discomfort(axis, joints[axis]) * size_of_error;
+            }
             for row in 0..6 {
                 for column in 0..=row {
                     matrix[row][column] = columns.iter().map(|it| it[row] * it[column]).sum();
                 }
                 matrix[row][row] += damping;
-                sides[row] = wanted[row];
+                sides[row] = wanted[row] - columns.iter().zip(&parts).map(|(it, part)| it[row] * part).sum::<f64>();
             }
             if let Some(tool) = tool {
                 // No error lies along the free axis.
@@ -272,7 +307,7 @@ impl Chain {
             }
             solve(&mut matrix, &mut sides, 6)?;
             for (part, column) in parts.iter_mut().zip(columns) {
-                *part = (0..6).map(|row| column[row] * sides[row]).sum();
+                *part += (0..6).map(|row| column[row] * sides[row]).sum::<f64>();
             }
         }
         let most = parts[..free].iter().fold(0.0_f64, |most, part| most.max(part.abs()));
@@ -285,6 +320,16 @@ impl Chain {
             step[axis] = part * share * unit;
         }
         Some(step)
+    }
+
+    /// Direction and urgency, 0 to 1, of a motion back from an end of the range of a joint.
+    fn discomfort(&self, axis: usize, joint: f64) -> f64 {
+        let range = self.drives.joint_limits[axis];
+        if range.is_continuous() {
+            return 0.0;
+        }
+        let place = (2.0 * joint - range.low - range.high) / (range.high - range.low);
+        -place.signum() * ((place.abs() - COMFORT) / (1.0 - COMFORT)).clamp(0.0, 1.0)
     }
 
     /// Change of the flange per unit of one joint, with lengths in characteristic lengths, also that of a linear joint.

@@ -187,6 +187,24 @@ fn cartesian(wrist: usize) -> ChainParameters {
     chain(joints, on(0.05, 0.0, 0.1))
 }
 
+/// A spherical wrist behind three axes: translations from axis to axis, and the rotations of the frames of axes 1 and 2
+/// about their x axes.
+fn shoulder(frames: [[f64; 3]; 3], [first, second]: [f64; 2]) -> ChainParameters {
+    let on = |[x, y, z]: [f64; 3]| Isometry3::translation(x, y, z);
+    let wide = Limits { low: -3.0, high: 3.0 };
+    let [upper, lower, wrist] = frames;
+    let frames = [
+        on([0.0, 0.0, 0.3]),
+        on(upper) * turned(Vector3::x(), first),
+        on(lower) * turned(Vector3::x(), second),
+        on(wrist) * turned(Vector3::x(), 1.0),
+        turned(Vector3::x(), -FRAC_PI_2),
+        turned(Vector3::x(), 1.2),
+    ];
+    let joints = frames.iter().enumerate().map(|(number, frame)| joint(&format!("j{number}"), *frame, wide));
+    chain(joints.collect(), on([0.02, 0.01, 0.1]))
+}
+
 /// A built-in robot as a chain of its links. The motors of the chain are the joints of the robot.
 pub(super) fn built_in(robot: &dyn Robot) -> ChainParameters {
     let links = robot.links();
@@ -211,6 +229,9 @@ pub(super) fn public() -> Vec<(&'static str, ChainParameters)> {
         ("puma560", puma560()),
         ("kr16", kr16()),
         ("irb140", irb140()),
+        ("crossing", shoulder([[0.0; 3], [0.4, 0.05, 0.1], [0.05, 0.3, 0.1]], [-1.3, 0.8])),
+        ("upright", shoulder([[0.4, 0.0, 0.1], [0.3, 0.02, 0.1], [0.05, 0.3, 0.1]], [0.0, 1.2])),
+        ("crossing elbow", shoulder([[0.1, 0.2, 0.1], [0.0; 3], [0.05, 0.3, 0.1]], [-1.3, 0.8])),
         ("panda", panda()),
         ("iiwa14", iiwa14()),
         ("jaco", jaco()),
@@ -224,6 +245,11 @@ pub(super) fn public() -> Vec<(&'static str, ChainParameters)> {
         ("polycrank", built_in(&polycrank())),
         ("irp6-track", built_in(&irp6ot())),
     ]
+}
+
+/// One of [`public`].
+pub(super) fn named(name: &str) -> ChainParameters {
+    public().into_iter().find(|(other, _)| *other == name).unwrap().1
 }
 
 /// A chain with `axes` joints anywhere, of any kind.

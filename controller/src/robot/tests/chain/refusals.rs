@@ -98,6 +98,78 @@ fn numbers_that_place_no_chain_are_refused() {
 }
 
 #[test]
+fn poses_out_of_reach_are_refused_with_what_is_missing() {
+    for (name, parameters) in arms::public() {
+        let chain = Chain::new(&parameters).unwrap();
+        let mut random = Random(SEED);
+        let near = random.joints(&chain);
+        let mut pose = chain.forward(&near).unwrap();
+        let away = Vector3::new(0.3, 0.4, 1.2).normalize() * 100.0;
+        pose.translation.vector += away;
+        match chain.inverse(&pose, &near) {
+            Err(KinematicsError::Unreachable { margin }) => {
+                assert!(margin > 90.0 && margin < 110.0, "{name}: {margin}");
+            }
+            // The closed form tells where the linear axis would be.
+            Err(KinematicsError::BeyondLimit { value, .. }) => assert!(value.abs() > 10.0, "{name}: {value}"),
+            other => panic!("{name}: {other:?}"),
+        }
+    }
+    // 1 mm beyond the stretched arm.
+    let chain = Chain::new(&arms::named("scara")).unwrap();
+    let stretched = Joints::from([0.0, 0.0, 0.1, 0.3]);
+    let mut pose = chain.forward(&stretched).unwrap();
+    pose.translation.vector.x += 1e-3;
+    let refused = chain.inverse(&pose, &stretched);
+    // The nearest posture also turns a little, because the flange lies beside the axis of the roll.
+    let Err(KinematicsError::Missed { distance, angle }) = refused else { panic!("{refused:?}") };
+    assert!((distance - 1e-3).abs() < 1e-5 && angle < 1e-3, "{distance} {angle}");
+}
+
+#[test]
+fn a_pose_past_a_limit_names_the_joint() {
+    for name in ["ur5", "puma560", "kr16", "jaco", "irb6", "scara", "gantry and wrist"] {
+        let mut parameters = arms::named(name);
+        for (number, joint) in parameters.joints.iter_mut().enumerate() {
+            let middle = if joint.kind == LinkKind::Prismatic { 0.2 } else { 0.6 + 0.1 * number as f64 };
+            joint.limits = Limits { low: middle - 0.1, high: middle + 0.1 };
+            if joint.kind == LinkKind::Continuous {
+                joint.kind = LinkKind::Revolute;
+            }
+        }
+        let chain = Chain::new(&parameters).unwrap();
+        let middle: Vec<f64> = parameters.joints.iter().map(|joint| joint.limits.low + 0.1).collect();
+        for axis in 0..chain.axes() {
+            let mut joints = Joints::new(&middle).unwrap();
+            joints[axis] += 0.15;
+            let pose = chain.forward(&joints).unwrap();
+            match chain.inverse(&pose, &joints) {
+                Err(KinematicsError::BeyondLimit { space: Space::Joint, axis: named, value, limit }) => {
+                    assert_eq!(usize::from(named), axis, "{name}");
+                    assert!((value - joints[axis]).abs() < 1e-6 && (limit - value + 0.05).abs() < 1e-6, "{name}");
+                }
+                other => panic!("{name} axis {axis}: {other:?}"),
+            }
+        }
+    }
+}
+
+#[test]
+fn an_arm_with_few_axes_tells_how_far_it_misses_a_pose() {
+    let chain = Chain::new(&arms::named("irb6")).unwrap();
+    let near = Joints::from([0.0, -1.5, 1.5, 0.2, 0.0]);
+    let pose = chain.forward(&near).unwrap();
+    let lean = |angle: f64| nalgebra::UnitQuaternion::from_scaled_axis(Vector3::z() * angle);
+    let leaning = Isometry3::from_parts(pose.translation, lean(0.1) * pose.rotation);
+    let Err(KinematicsError::Missed { distance, angle }) = chain.inverse(&leaning, &near) else { panic!() };
+    assert!(distance < 0.1 && angle > 0.01 && angle < 0.1, "{distance} {angle}");
+    // A pose with eight digits.
+    let rounded = Isometry3::from_parts(pose.translation, lean(1e-8) * pose.rotation);
+    let solutions = chain.inverse(&rounded, &near).unwrap();
+    assert!(largest_difference(solutions.preferred(), &near) < 1e-6, "{solutions:?}");
+}
+
+#[test]
 fn room_at_home_is_that_of_the_motors() {
     let mut parameters = arms::panda();
     parameters.joints.truncate(2);
