@@ -3,6 +3,7 @@
 mod allocation;
 mod bench;
 mod carry_allocation;
+mod chain_allocation;
 mod counting;
 mod generators;
 mod ideal;

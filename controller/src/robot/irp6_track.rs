@@ -257,7 +257,7 @@ impl Robot for Irp6Track {
         let mut coupling = [0.0; servo::MAX_AXES];
         coupling[0] = 1.0;
         let track = Link {
-            name: "track",
+            name: "track".into(),
             kind: LinkKind::Prismatic,
             parent_from_link: Isometry3::identity(),
             axis: Vector3::y_axis(),

@@ -1,12 +1,17 @@
 //! Serial links of a robot, for its description.
 
+use std::borrow::Cow;
+
 use nalgebra::{Isometry3, Translation3, Unit, UnitQuaternion, Vector3};
+use serde::{Deserialize, Serialize};
 use servo::MAX_AXES;
 
 use super::{Joints, Limits};
 
 /// Motion of a link relative to the previous link.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(rename_all = "kebab-case")]
 pub enum LinkKind {
     /// Rotation between limits.
     Revolute,
@@ -20,7 +25,7 @@ pub enum LinkKind {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Link {
     /// Name of the joint.
-    pub name: &'static str,
+    pub name: Cow<'static, str>,
     /// Kind of motion.
     pub kind: LinkKind,
     /// Pose of the link's frame in the frame of the previous link (of the base, for the first link) with the joint at
@@ -52,7 +57,7 @@ impl Link {
             limits.high += range.high;
         }
         Self {
-            name,
+            name: Cow::Borrowed(name),
             kind: if limits.is_continuous() { LinkKind::Continuous } else { LinkKind::Revolute },
             parent_from_link,
             axis: Vector3::z_axis(),

@@ -1,7 +1,8 @@
 //! Robots: forward kinematics, inverse kinematics and drive trains.
 //!
 //! [`Robot`] is the contract. Its robots are [`Irb6`] (5 axes), [`Irp6`] (6), [`Irp6Track`] and [`Polycrank`] (7),
-//! and [`Rnt`] (6, serial-parallel). [`LinearDevice`] is a gripper or a conveyor, of one axis, with the same contract.
+//! and [`Rnt`] (6, serial-parallel). [`Chain`] is any serial arm of 1 to 8 axes, from a description of its joints.
+//! [`LinearDevice`] is a gripper or a conveyor, of one axis, with the same contract.
 //! Every call is a function of its arguments: no state, no allocation, no unbounded search. A call that a robot
 //! cannot fulfil returns a [`KinematicsError`] with the axis and both sides, never a NaN or a clamped number.
 //!
@@ -19,6 +20,7 @@
 //! | IRp-6 on its track | [`Irp6Track`] | `irp6_track.rs` | the choice of the carriage position |
 //! | Polycrank | [`Polycrank`] | `polycrank.rs`, `polycrank/cranks.rs` | endless joints, the forearm's reach |
 //! | RNT | [`Rnt`] | `rnt.rs`, `legs.rs` | closed loops of legs, by Newton's method, and a wrist |
+//! | any serial arm | [`Chain`] | `chain` | joints as in URDF, closed forms found from the numbers, a numerical solver |
 //! | gripper, conveyor | [`LinearDevice`] | `axis_map.rs` | one motor each |
 //!
 //! Figures and every parameter with its source are in `docs/robots` of the repository. Read [`Robot`] first, then
@@ -30,6 +32,7 @@
 
 mod arm;
 mod axis_map;
+mod chain;
 mod drive_train;
 mod free_parameter;
 mod irb6;
@@ -59,6 +62,7 @@ use servo::MAX_AXES;
 use thiserror::Error;
 
 pub use axis_map::{ConveyorParameters, GripperParameters, LinearDevice};
+pub use chain::{Chain, ChainError, ChainJoint, ChainParameters, ClosedForm, LinkBody};
 pub use drive_train::{GearAxis, ScrewAxis};
 pub use irb6::{Irb6, Irb6Parameters};
 pub use irp6::{Irp6, Irp6Parameters};
@@ -159,10 +163,16 @@ pub trait Robot: fmt::Debug + Send + Sync {
     }
 
     /// The links of a serial arm from base to flange, one per axis, for description files and figures; none if the robot
-    /// is no such chain. The last link's frame is the flange. The product of the links, each [placed](Link::placed), equals
-    /// [`forward`](Self::forward).
+    /// is no such chain. The product of the links, each [placed](Link::placed), and of
+    /// [`link_from_flange`](Self::link_from_flange) equals [`forward`](Self::forward).
     fn links(&self) -> Vec<Link> {
         Vec::new()
+    }
+
+    /// Pose of the flange in the frame of the last link. The identity, unless the description of a [`Chain`] has its
+    /// flange elsewhere.
+    fn link_from_flange(&self) -> Pose {
+        Pose::identity()
     }
 
     /// Index of the lower arm's joint, if the joints of lower arm, upper arm and wrist pitch follow each other and are
@@ -270,6 +280,9 @@ pub enum KinematicsError {
     /// The pose lies beside the path of a device with one axis.
     #[error("{distance:.6} m and {angle:.6} rad off the only axis")]
     OffAxis { distance: f64, angle: f64 },
+    /// No posture found brings the flange to the pose. `distance` and `angle` are the errors of the nearest posture.
+    #[error("the arm misses the pose by {distance:.6} m and {angle:.6} rad at the least")]
+    Missed { distance: f64, angle: f64 },
     /// The tool axis lies outside the vertical plane of a 5-axis arm. `residual` is the sine of the angle between them,
     /// with the sign of the normal (-sin th1, cos th1, 0).
     #[error(
@@ -290,6 +303,7 @@ impl KinematicsError {
             | Self::AxisCount { .. }
             | Self::Unreachable { .. }
             | Self::OffAxis { .. }
+            | Self::Missed { .. }
             | Self::ToolPlane { .. } => None,
         }
     }

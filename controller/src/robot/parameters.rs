@@ -149,6 +149,9 @@ pub enum ParameterError {
     /// The legs cannot have their home lengths at the same time. Legs are counted from 0.
     #[error("the legs do not close at home: leg {leg} misses its length by {residual:.6} m at the least")]
     OpenAtHome { leg: u8, residual: f64 },
+    /// The description of a chain.
+    #[error("{0}")]
+    Chain(#[from] super::ChainError),
     /// The masses do not match the links.
     #[error("{0}")]
     Weight(super::WeightError),

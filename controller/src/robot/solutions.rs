@@ -20,6 +20,28 @@ impl Solutions {
         &self.joints[0]
     }
 
+    /// No solution yet.
+    pub(super) fn none() -> Self {
+        Self { joints: [Joints::from([]); Self::MOST], count: 0 }
+    }
+
+    /// Inserts a solution at this distance from the present posture. `distances` are those of the solutions so far. A
+    /// solution beyond [`MOST`](Self::MOST) is dropped.
+    pub(super) fn insert(&mut self, distances: &mut [f64; Self::MOST], joints: Joints, distance: f64) {
+        if self.count == Self::MOST {
+            return;
+        }
+        let mut place = self.count;
+        while place > 0 && distances[place - 1] > distance {
+            distances[place] = distances[place - 1];
+            self.joints[place] = self.joints[place - 1];
+            place -= 1;
+        }
+        distances[place] = distance;
+        self.joints[place] = joints;
+        self.count += 1;
+    }
+
     /// The same solutions, each converted by `joints` for a robot with other axes.
     pub(super) fn map(mut self, joints: impl Fn(&Joints) -> Joints) -> Self {
         for solution in &mut self.joints[..self.count] {
@@ -70,7 +92,7 @@ impl<'a, const N: usize> Search<'a, N> {
             drive_train,
             near,
             hasty: true,
-            found: Solutions { joints: [Joints::from([0.0; N]); Solutions::MOST], count: 0 },
+            found: Solutions::none(),
             distances: [f64::INFINITY; Solutions::MOST],
             refused: None,
             margin: f64::INFINITY,
@@ -126,18 +148,6 @@ impl<'a, const N: usize> Search<'a, N> {
             }
             return;
         }
-        let Solutions { joints: list, count } = &mut self.found;
-        if *count == Solutions::MOST {
-            return;
-        }
-        let mut place = *count;
-        while place > 0 && self.distances[place - 1] > distance {
-            self.distances[place] = self.distances[place - 1];
-            list[place] = list[place - 1];
-            place -= 1;
-        }
-        self.distances[place] = distance;
-        list[place] = Joints::from(joints);
-        *count += 1;
+        self.found.insert(&mut self.distances, Joints::from(joints), distance);
     }
 }

@@ -7,6 +7,7 @@ use nalgebra::{DMatrix, Isometry3, Matrix3, Matrix4, Vector3};
 use super::*;
 use crate::random::Random;
 
+mod chain;
 mod irp6_track;
 mod polycrank;
 mod refusals;
@@ -317,32 +318,37 @@ fn ball_screw_constants_are_one_rigid_geometry() {
     assert!((set - 75.01).abs() < 0.005, "{set}");
 }
 
+/// Compares the Jacobian with central differences of forward kinematics.
+fn derivative(name: &str, robot: &dyn Robot, postures: usize) {
+    let step = 1e-6;
+    let mut random = Random(SEED);
+    for _ in 0..postures {
+        let joints = random.joints(robot);
+        let jacobian = robot.jacobian(&joints).unwrap();
+        for axis in 0..MAX_AXES {
+            let column = jacobian.column(axis).into_owned();
+            if axis >= robot.axes() {
+                assert_eq!(column.amax(), 0.0);
+                continue;
+            }
+            let [before, after] = [-step, step].map(|delta| {
+                let mut moved = joints;
+                moved[axis] += delta;
+                robot.forward(&moved).unwrap()
+            });
+            let linear = after.translation.vector - before.translation.vector;
+            let angular = (after.rotation * before.rotation.inverse()).scaled_axis();
+            let measured =
+                nalgebra::Vector6::new(linear.x, linear.y, linear.z, angular.x, angular.y, angular.z) / (2.0 * step);
+            assert!((measured - column).amax() < 1e-8, "{name} {joints:?} axis {axis}");
+        }
+    }
+}
+
 #[test]
 fn jacobian_is_the_derivative_of_forward_kinematics() {
-    let step = 1e-6;
     for (name, robot) in robots() {
-        let mut random = Random(SEED);
-        for _ in 0..500 {
-            let joints = random.joints(&*robot);
-            let jacobian = robot.jacobian(&joints).unwrap();
-            for axis in 0..MAX_AXES {
-                let column = jacobian.column(axis).into_owned();
-                if axis >= robot.axes() {
-                    assert_eq!(column.amax(), 0.0);
-                    continue;
-                }
-                let [before, after] = [-step, step].map(|delta| {
-                    let mut moved = joints;
-                    moved[axis] += delta;
-                    robot.forward(&moved).unwrap()
-                });
-                let linear = after.translation.vector - before.translation.vector;
-                let angular = (after.rotation * before.rotation.inverse()).scaled_axis();
-                let measured = nalgebra::Vector6::new(linear.x, linear.y, linear.z, angular.x, angular.y, angular.z)
-                    / (2.0 * step);
-                assert!((measured - column).amax() < 1e-8, "{name} {joints:?} axis {axis}");
-            }
-        }
+        derivative(name, &*robot, 500);
     }
 }
 

@@ -47,6 +47,23 @@ impl<Space> Vector<Space> {
         self.values
     }
 
+    /// The positions, padded with zeros. Fails if the number of axes is not `axes`, or if a position is not finite.
+    pub(super) fn counted(&self, axes: usize) -> Result<&[f64; MAX_AXES], KinematicsError> {
+        if usize::from(self.axes) != axes {
+            return Err(KinematicsError::AxisCount { axes: axes as u8, given: self.axes });
+        }
+        if self.values.iter().all(|value| value.is_finite()) {
+            Ok(&self.values)
+        } else {
+            Err(KinematicsError::NotFinite)
+        }
+    }
+
+    /// A vector of the first `axes` of padded numbers.
+    pub(super) fn from_padded(values: &[f64; MAX_AXES], axes: usize) -> Self {
+        Self::new(&values[..axes]).expect("a robot has no more axes than the servo")
+    }
+
     /// The positions as an array. Fails if the number of axes is not `N`, or if a position is not finite.
     pub(super) fn exactly<const N: usize>(&self) -> Result<&[f64; N], KinematicsError> {
         let values: &[f64; N] =

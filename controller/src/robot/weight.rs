@@ -1,6 +1,6 @@
 //! Gravity compensation: motor torques that balance the weight of links and load.
 
-use nalgebra::{UnitVector3, Vector3};
+use nalgebra::{Point3, UnitVector3, Vector3};
 use serde::{Deserialize, Serialize};
 use servo::MAX_AXES;
 use thiserror::Error;
@@ -44,6 +44,7 @@ impl Mass {
 pub struct Weight {
     /// Links from base to flange, without the load.
     links: Vec<(Link, Mass)>,
+    /// The load, in the frame of the last link.
     load: Mass,
     /// Upward direction, opposite to gravity, in the base frame.
     up: UnitVector3<f64>,
@@ -104,6 +105,8 @@ impl Weight {
                 return Err(WeightError::Centre { link, coordinate });
             }
         }
+        let centre = robot.link_from_flange() * Point3::from(load.centre);
+        let load = Mass { mass: load.mass, centre: centre.into() };
         let up = Vector3::from(up);
         let up = UnitVector3::try_new(up, 1e-6).filter(|_| up.norm().is_finite());
         Ok(Self {

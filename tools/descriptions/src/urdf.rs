@@ -102,6 +102,10 @@ fn write(
         parent = format!("{prefix}{}_link", link.name);
     }
     writeln!(text, "  <joint name=\"{prefix}flange_joint\" type=\"fixed\">")?;
+    let link_from_flange = machine.robot.link_from_flange();
+    if link_from_flange != Isometry3::identity() {
+        writeln!(text, "    {}", origin(&link_from_flange))?;
+    }
     writeln!(text, "    <parent link=\"{parent}\"/>\n    <child link=\"{prefix}flange\"/>\n  </joint>\n</robot>")
 }
 
@@ -134,7 +138,7 @@ fn joint(text: &mut String, (link, rating): (&Link, &JointRating), prefix: &str,
         LinkKind::Continuous => "continuous",
         LinkKind::Prismatic => "prismatic",
     };
-    let name = link.name;
+    let name = &link.name;
     let terms = link.coupling.iter().enumerate().filter(|(_, factor)| **factor != 0.0);
     let terms: Vec<_> = terms.map(|(axis, factor)| format!("{factor:+} x joint {axis}")).collect();
     if terms.len() > 1 {

@@ -9,7 +9,7 @@ use crate::robot::{Arm, Link, LinkKind, Mass, Weight};
 pub(super) fn links() -> Vec<Link> {
     let axes = [Vector3::x_axis(), Vector3::y_axis(), Vector3::z_axis()];
     let slide = |(joint, axis): (usize, nalgebra::UnitVector3<f64>)| Link {
-        name: "slide",
+        name: "slide".into(),
         kind: LinkKind::Prismatic,
         parent_from_link: Isometry3::identity(),
         axis,
