@@ -28,8 +28,8 @@ pub use axis::{AngleProbe, AxisConfig, Demand, Feedback, PlantAxis, PlantConfig,
 pub use faults::PlantFault;
 pub use friction::FrictionConfig;
 pub use irp6::Irp6Axis;
+pub use mechanism::{ChainBodies, ChainBodyJoint, ChainError, Load, Mechanism, MechanismConfig, Mount};
 pub(crate) use mechanism::{Kinematics, Shafts};
-pub use mechanism::{Load, Mechanism, MechanismConfig, Mount};
 pub use motor::{EndStops, Gravity, MotorConfig};
 pub use noise::Noise;
 pub use switch::Switch;

@@ -21,9 +21,9 @@ fn joints(robot: &dyn Robot, number: u32) -> Joints {
 
 /// A mechanism with its motors at `motors`. The motors are moved there in small steps, as the legs require. `zero` is
 /// their position with the mechanism at its own home.
-fn posed(config: MechanismConfig, motors: &[f64], zero: &Motors) -> Mechanism {
+fn posed(config: &MechanismConfig, motors: &[f64], zero: &Motors) -> Mechanism {
     const STEPS: u32 = 20;
-    let mechanism = Mechanism::new(config);
+    let mechanism = Mechanism::new(config.clone());
     for step in 1..=STEPS {
         let share = f64::from(step) / f64::from(STEPS);
         for (number, (&angle, &zero)) in motors.iter().zip(zero.iter()).enumerate() {
@@ -51,7 +51,7 @@ fn mechanisms() -> [(Model, Option<Parameters>, MechanismConfig); 6] {
 }
 
 /// Motor positions with the mechanism at its own home.
-fn home(robot: &dyn Robot, config: MechanismConfig) -> Motors {
+fn home(robot: &dyn Robot, config: &MechanismConfig) -> Motors {
     match config {
         MechanismConfig::Polycrank { .. } => robot.motors_from_joints(&Joints::new(&[0.0; 7]).unwrap()).unwrap(),
         _ => robot.home(),
@@ -62,7 +62,7 @@ fn home(robot: &dyn Robot, config: MechanismConfig) -> Motors {
 fn flange_in_a_scene_is_where_the_kinematics_has_it() {
     for (model, parameters, config) in mechanisms() {
         let robot = parameters.unwrap_or(model.parameters()).kinematics().unwrap();
-        let zero = home(&*robot, config);
+        let zero = home(&*robot, &config);
         // The base frame of the emulated IRb-6 is at the shoulder, and the base frame of the controller is on the
         // floor. The emulated flange of the RNT is 100 mm beyond the centre of the wrist.
         let base = Translation3::new(0.0, 0.0, if model == Model::Irb6 { 0.7 } else { 0.0 });
@@ -74,7 +74,7 @@ fn flange_in_a_scene_is_where_the_kinematics_has_it() {
                 continue;
             };
             poses += 1;
-            let mechanism = posed(config, &motors, &zero);
+            let mechanism = posed(&config, &motors, &zero);
             let up = Vector3::from(mechanism.up());
             let stand = UnitQuaternion::rotation_between(&up, &Vector3::z())
                 .unwrap_or(UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI));
@@ -98,7 +98,7 @@ fn links_weigh_on_motors_what_they_weigh_in_the_emulators() {
     for (model, parameters, config) in mechanisms() {
         let numbers = parameters.unwrap_or(model.parameters());
         let robot = numbers.kinematics().unwrap();
-        let zero = home(&*robot, config);
+        let zero = home(&*robot, &config);
         let load = Mass { mass: 3.0, centre: [0.02, -0.03, 0.1] };
         // The emulated flange of the RNT is 100 mm beyond the centre of the wrist. The robot's own flange is at the
         // centre.
@@ -115,7 +115,7 @@ fn links_weigh_on_motors_what_they_weigh_in_the_emulators() {
                     continue;
                 };
                 poses += 1;
-                let mechanism = posed(config, &motors, &zero);
+                let mechanism = posed(&config, &motors, &zero);
                 mechanism.set_payload(of_load, carried);
                 let found = weight.torque(&*robot, &motors).unwrap();
                 for (axis, found) in found.iter().take(robot.axes()).enumerate() {

@@ -1,11 +1,13 @@
 //! Coupled dynamics of the motors of one robot: gravity, inertia and payload.
 
+mod bodies;
 mod chain;
 mod irp6;
 mod kinematics;
 mod polycrank;
 mod rnt;
 mod screw;
+mod serial;
 mod shaft;
 #[cfg(test)]
 mod tests;
@@ -13,6 +15,7 @@ mod tests;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
+pub use bodies::{ChainBodies, ChainBodyJoint, ChainError};
 use chain::Body;
 pub use chain::Load;
 use irp6::Irp6;
@@ -20,10 +23,11 @@ pub(crate) use kinematics::{Kinematics, Shafts};
 use nalgebra::Vector3;
 use polycrank::Polycrank;
 use rnt::Rnt;
+use serial::SerialChain;
 use shaft::Shaft;
 
 /// The robot whose mechanics couple the motors.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub enum MechanismConfig {
     /// Five axes. At home the lower arm is upright. Upper arm, wrist and gripper are level, in one line.
     Irb6,
@@ -44,6 +48,8 @@ pub enum MechanismConfig {
         /// Denavit-Hartenberg joint angles at home, rad.
         at_home: [f64; 7],
     },
+    /// One to eight axes in series, with any axes, masses and inertias.
+    Chain(Arc<ChainBodies>),
 }
 
 /// The links of one robot, on which its axes are mounted. Clones refer to the same robot.
@@ -80,7 +86,7 @@ pub struct Mount {
 }
 
 /// Largest number of axes of a robot.
-pub(crate) const AXES: usize = 7;
+pub(crate) const AXES: usize = 8;
 
 #[derive(Clone, Debug)]
 struct Robot {
@@ -101,6 +107,7 @@ enum Links {
     Irp6(Irp6),
     Rnt(Rnt),
     Polycrank(Polycrank),
+    Chain(SerialChain),
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -138,6 +145,10 @@ impl Mechanism {
             MechanismConfig::Irp6OnTrack => (Links::Irp6(Irp6::new(true)), 7),
             MechanismConfig::Rnt { home_lengths } => (Links::Rnt(Rnt::new(home_lengths)), 6),
             MechanismConfig::Polycrank { coupled, at_home } => (Links::Polycrank(Polycrank::new(coupled, at_home)), 7),
+            MechanismConfig::Chain(bodies) => {
+                let axes = bodies.axes();
+                (Links::Chain(SerialChain::new(bodies)), axes)
+            }
         };
         let robot = Robot {
             links,
@@ -176,12 +187,14 @@ impl Mechanism {
     /// * IRp-6: the intersection of roll and flange axis, before the gripper.
     /// * RNT: 100 mm beyond the wrist centre.
     /// * Polycrank: the frame of the last joint.
+    /// * Chain: the flange of its description.
     pub fn set_payload(&self, mass: f64, centre: [f64; 3]) {
         let mut robot = self.lock();
         let payload = match &mut robot.links {
             Links::Irp6(irp6) => &mut irp6.chain.payload,
             Links::Rnt(rnt) => &mut rnt.wrist.payload,
             Links::Polycrank(polycrank) => &mut polycrank.chain.payload,
+            Links::Chain(chain) => &mut chain.payload,
         };
         *payload = Body::point(mass, centre);
         robot.loads = [None; AXES];
@@ -218,11 +231,13 @@ impl Mechanism {
     ///   carriage moves along y.
     /// * RNT: the centre of the legs' joints in the base, z along the central leg.
     /// * Polycrank: on axis 1, which is the z axis.
+    /// * Chain: the base of its description.
     pub fn up(&self) -> [f64; 3] {
-        match self.lock().links {
+        match &self.lock().links {
             Links::Irp6(_) => irp6::UP,
             Links::Rnt(_) => rnt::UP,
             Links::Polycrank(_) => polycrank::UP,
+            Links::Chain(chain) => chain.bodies.up,
         }
         .into()
     }
@@ -299,6 +314,7 @@ impl Mechanism {
             Links::Irp6(irp6) => irp6.travel(distance),
             Links::Rnt(rnt) => rnt.travel(distance),
             Links::Polycrank(polycrank) => polycrank.travel(distance),
+            Links::Chain(chain) => chain.travel(distance),
         }
     }
 
@@ -376,6 +392,7 @@ impl Robot {
             Links::Irp6(irp6) => irp6.kinematics(motors),
             Links::Rnt(rnt) => rnt.kinematics(motors),
             Links::Polycrank(polycrank) => polycrank.kinematics(motors),
+            Links::Chain(chain) => chain.kinematics(motors),
         }
     }
 
@@ -387,6 +404,7 @@ impl Robot {
             Links::Irp6(irp6) => irp6.load(number, &self.motors),
             Links::Rnt(rnt) => rnt.load(number, &self.motors),
             Links::Polycrank(polycrank) => polycrank.load(number, &self.motors),
+            Links::Chain(chain) => chain.load(number, &self.motors),
         };
         self.loads[number] = Some((self.motors, load));
         load

@@ -86,22 +86,29 @@ mod tests {
 
     use nalgebra::Vector3;
 
+    use super::super::tests::chains::random_chain;
     use super::super::{Mechanism, MechanismConfig};
     use super::Kinematics;
     use crate::plant::{AxisConfig, Noise};
 
-    const ROBOTS: [MechanismConfig; 6] = [
-        MechanismConfig::Irb6,
-        MechanismConfig::Irp6,
-        MechanismConfig::Irp6OnTrack,
-        MechanismConfig::Rnt { home_lengths: [AxisConfig::RNT_HOME_LENGTH; 3] },
-        MechanismConfig::Polycrank { coupled: false, at_home: [0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7] },
-        MechanismConfig::Polycrank { coupled: true, at_home: [0.0; 7] },
-    ];
+    /// The robots of the laboratory, and chains of one to eight joints.
+    fn robots() -> Vec<MechanismConfig> {
+        let mut robots = vec![
+            MechanismConfig::Irb6,
+            MechanismConfig::Irp6,
+            MechanismConfig::Irp6OnTrack,
+            MechanismConfig::Rnt { home_lengths: [AxisConfig::RNT_HOME_LENGTH; 3] },
+            MechanismConfig::Polycrank { coupled: false, at_home: [0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7] },
+            MechanismConfig::Polycrank { coupled: true, at_home: [0.0; 7] },
+        ];
+        let mut noise = Noise::new(9);
+        robots.extend((1..=8).map(|joints| random_chain(joints, 100.0, &mut noise)));
+        robots
+    }
 
     /// A mechanism with its motors at these angles from home.
-    fn at(config: MechanismConfig, motors: &[f64]) -> (Mechanism, Kinematics) {
-        let mechanism = Mechanism::new(config);
+    fn at(config: &MechanismConfig, motors: &[f64]) -> (Mechanism, Kinematics) {
+        let mechanism = Mechanism::new(config.clone());
         for (number, &motor) in motors.iter().enumerate() {
             mechanism.mount(number, 50.0).expect("it has the axis").place(50.0 + motor);
         }
@@ -110,19 +117,19 @@ mod tests {
     }
 
     /// Random motor angles within the range of every mechanism.
-    fn pose(config: MechanismConfig, noise: &mut Noise) -> Vec<f64> {
+    fn pose(config: &MechanismConfig, noise: &mut Noise) -> Vec<f64> {
         let together = 100.0 * noise.symmetric();
         let angle = |number: usize| match config {
             MechanismConfig::Rnt { .. } if number < 3 => 100.0 + together + 20.0 * noise.symmetric(),
             _ => 80.0 * noise.symmetric(),
         };
-        (0..Mechanism::new(config).axes()).map(angle).collect()
+        (0..Mechanism::new(config.clone()).axes()).map(angle).collect()
     }
 
     #[test]
     fn flange_moves_as_the_jacobian_says() {
         let mut noise = Noise::new(5);
-        for config in ROBOTS {
+        for config in &robots() {
             for _ in 0..50 {
                 let motors = pose(config, &mut noise);
                 let (_, here) = at(config, &motors);
@@ -148,11 +155,11 @@ mod tests {
     #[test]
     fn no_point_of_a_tool_moves_farther_than_the_travel_of_the_motors() {
         let mut noise = Noise::new(7);
-        for config in ROBOTS {
+        for config in &robots() {
             let distance = 0.4;
-            let travel = Mechanism::new(config).travel(distance);
+            let travel = Mechanism::new(config.clone()).travel(distance);
             // The farthest motion of each motor, as a share of its travel.
-            let mut most = vec![0.0_f64; Mechanism::new(config).axes()];
+            let mut most = vec![0.0_f64; Mechanism::new(config.clone()).axes()];
             for _ in 0..500 {
                 let from = pose(config, &mut noise);
                 let point =
@@ -188,7 +195,7 @@ mod tests {
     #[test]
     fn force_of_a_weight_loads_motors_like_a_payload_of_that_weight() {
         let mut noise = Noise::new(6);
-        for config in ROBOTS {
+        for config in &robots() {
             for _ in 0..50 {
                 let motors = pose(config, &mut noise);
                 let (mechanism, here) = at(config, &motors);
@@ -208,7 +215,7 @@ mod tests {
 
     #[test]
     fn mass_at_the_tip_is_that_of_the_motors_that_move_it() {
-        let (mechanism, _) = at(MechanismConfig::Irb6, &[0.0; 5]);
+        let (mechanism, _) = at(&MechanismConfig::Irb6, &[0.0; 5]);
         // Sideways: the column alone, at 0.67 + 0.095 + 0.2 m, and the roll, on whose axis the point lies.
         let column = mechanism.load(0).inertia * 158.0 * 158.0 / (0.965 * 0.965);
         let found = mechanism.effective_mass([0.0, 0.0, 0.2], [0.0, 2.0, 0.0]);
@@ -224,8 +231,8 @@ mod tests {
     #[test]
     fn mass_at_the_tip_is_that_of_the_present_pose_also_without_a_scene() {
         let moved = [40.0, 10.0, -20.0, 30.0, 0.0];
-        let (placed, _) = at(MechanismConfig::Irb6, &moved);
-        let (driven, _) = at(MechanismConfig::Irb6, &[0.0; 5]);
+        let (placed, _) = at(&MechanismConfig::Irb6, &moved);
+        let (driven, _) = at(&MechanismConfig::Irb6, &[0.0; 5]);
         for (number, motor) in moved.into_iter().enumerate() {
             driven.mount(number, 50.0).expect("it has the axis").load(50.0 + motor);
         }
@@ -245,11 +252,11 @@ mod tests {
         ];
         for (motors, position) in cases {
             let relative: Vec<_> = motors.iter().zip(home).map(|(motor, home)| motor - home).collect();
-            let (_, here) = at(MechanismConfig::Irp6, &relative);
+            let (_, here) = at(&MechanismConfig::Irp6, &relative);
             assert!((here.flange.origin - Vector3::from(position)).norm() < 1e-6, "{here:?} for {position:?}");
         }
         let relative: Vec<_> = cases[1].0.iter().zip(home).map(|(motor, home)| motor - home).collect();
-        let axes = at(MechanismConfig::Irp6, &relative).1.flange.axes;
+        let axes = at(&MechanismConfig::Irp6, &relative).1.flange.axes;
         let row = Vector3::new(0.612_201, 0.676_525, -0.409_296);
         assert!((axes.row(0).transpose() - row).norm() < 2e-6, "{axes}");
     }

@@ -4,6 +4,9 @@ use super::chain::{Body, Chain, Link, Motion, Vector};
 use super::kinematics::{Frame, Kinematics, Twist};
 use super::{AXES, Loaded};
 
+/// Number of joints.
+const JOINTS: usize = 7;
+
 /// Motor angle per joint angle (nominal).
 const RATIO: f64 = 50.0;
 /// Inertia of a rotor, kg·m² (nominal).
@@ -13,16 +16,16 @@ pub(super) const UP: Vector = Vector::new(1.0, 0.0, 0.0);
 
 #[derive(Clone, Debug)]
 pub(super) struct Polycrank {
-    pub(super) chain: Chain<7>,
+    pub(super) chain: Chain<JOINTS>,
     /// Whether motors stand at the base and set absolute angles within each group of three.
     coupled: bool,
     /// Joint angles, rad.
-    at_home: [f64; AXES],
+    at_home: [f64; JOINTS],
 }
 
 impl Polycrank {
     /// Lengths are published. All masses are nominal: uniform rods from joint to joint.
-    pub(super) fn new(coupled: bool, at_home: [f64; AXES]) -> Self {
+    pub(super) fn new(coupled: bool, at_home: [f64; JOINTS]) -> Self {
         Self {
             chain: Chain {
                 links: [
@@ -50,19 +53,26 @@ impl Polycrank {
     pub(super) fn kinematics(&mut self, motors: &[f64; AXES]) -> Kinematics {
         let angles = self.angles(motors);
         let (flange, joints) = self.chain.place(Frame::BASE, &angles);
-        let motors = std::array::from_fn(|number| Twist::sum(&joints, &self.rates(number)));
-        Kinematics { flange, motors, room: f64::INFINITY }
+        let mut twists = [Twist::default(); AXES];
+        for (number, twist) in twists.iter_mut().take(JOINTS).enumerate() {
+            *twist = Twist::sum(&joints, &self.rates(number));
+        }
+        Kinematics { flange, motors: twists, room: f64::INFINITY }
     }
 
     /// Greatest displacement of a point of the tool, at most `distance`, m, from the origin of the flange, per rad of each
     /// motor, m/rad.
     pub(super) fn travel(&self, distance: f64) -> [f64; AXES] {
         let arm = self.chain.length() + distance;
-        std::array::from_fn(|number| arm * self.rates(number).iter().map(|rate| rate.abs()).sum::<f64>())
+        let mut travel = [0.0; AXES];
+        for (number, travel) in travel.iter_mut().take(JOINTS).enumerate() {
+            *travel = arm * self.rates(number).iter().map(|rate| rate.abs()).sum::<f64>();
+        }
+        travel
     }
 
-    fn angles(&self, motors: &[f64; AXES]) -> [f64; AXES] {
-        let mut angles = motors.map(|motor| motor / RATIO);
+    fn angles(&self, motors: &[f64; AXES]) -> [f64; JOINTS] {
+        let mut angles = std::array::from_fn(|joint| motors[joint] / RATIO);
         if self.coupled {
             for joint in [5, 4, 2, 1] {
                 angles[joint] -= angles[joint - 1];
@@ -75,8 +85,8 @@ impl Polycrank {
     }
 
     /// Rates of the joints per rad/s of a motor.
-    fn rates(&self, number: usize) -> [f64; AXES] {
-        let mut rates = [0.0; AXES];
+    fn rates(&self, number: usize) -> [f64; JOINTS] {
+        let mut rates = [0.0; JOINTS];
         rates[number] = 1.0 / RATIO;
         // The motors of a group set sums of joint angles. If one motor turns alone, the next joint turns back by the
         // same angle, and the later links keep their orientation.

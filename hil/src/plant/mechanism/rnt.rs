@@ -143,7 +143,10 @@ impl Rnt {
         let wrist = self.wrist.length() + distance;
         let (spin, along) = RATES;
         let leg = along + spin * (MOBILE.2 + WRIST + wrist);
-        [leg / LEG, leg / LEG, leg / LEG, wrist / GEAR, wrist / GEAR, wrist / GEAR, 0.0]
+        let mut travel = [0.0; AXES];
+        travel[..3].fill(leg / LEG);
+        travel[3..6].fill(wrist / GEAR);
+        travel
     }
 
     /// The flange, and its motion per rad/s of each motor. The origin of the base frame is the centre of the legs' joints

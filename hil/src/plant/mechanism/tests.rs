@@ -1,5 +1,7 @@
 //! Weights and inertias calculated by hand from masses and lengths, and the motion of motors that carry such loads.
 
+pub(super) mod chains;
+
 use std::f64::consts::{FRAC_PI_2, TAU};
 
 use super::{Load, Loaded, Mechanism, MechanismConfig};
@@ -22,8 +24,8 @@ const fn polycrank(coupled: bool) -> MechanismConfig {
 }
 
 /// A mechanism with its motors at these angles from home.
-fn posed(config: MechanismConfig, motors: &[f64]) -> Mechanism {
-    let mechanism = Mechanism::new(config);
+fn posed(config: &MechanismConfig, motors: &[f64]) -> Mechanism {
+    let mechanism = Mechanism::new(config.clone());
     for (number, &motor) in motors.iter().enumerate() {
         let mount = mechanism.mount(number, 100.0).expect("it has the axis");
         mount.place(100.0 + motor);
@@ -66,13 +68,13 @@ fn irp6_weighs_what_its_masses_say() {
         roll,
         0.0,
     ];
-    let level = posed(MechanismConfig::Irp6, &[0.0; 6]);
+    let level = posed(&MechanismConfig::Irp6, &[0.0; 6]);
     for (number, expected) in home.into_iter().enumerate() {
         check(level.load(number).torque, expected, "home");
     }
     // The lower arm leans out by 30 degrees. All other links keep their angle to the horizontal.
     let angle = -60_f64.to_radians();
-    let leaning = posed(MechanismConfig::Irp6, &[0.0, lower_motor(angle)]);
+    let leaning = posed(&MechanismConfig::Irp6, &[0.0, lower_motor(angle)]);
     let lower = G * 0.5 * (12.0 * 0.20 + 19.35 * 0.455) / lower_screw(angle).1;
     check(leaning.load(1).torque, lower, "lower arm");
     check(leaning.load(2).torque, home[2], "upper arm");
@@ -85,7 +87,7 @@ fn irb6_holds_its_gripper_along_the_roll_axis() {
     let pitch = -G * (4.0 * 0.0475 + 1.35 * 0.245) / 128.0;
     // The weight does not depend on the roll angle. The sixth axis does not exist.
     for roll in [0.0, 40.0] {
-        let level = posed(MechanismConfig::Irb6, &[0.0, 0.0, 0.0, 0.0, roll]);
+        let level = posed(&MechanismConfig::Irb6, &[0.0, 0.0, 0.0, 0.0, roll]);
         for (number, expected) in [0.0, 0.0, upper, pitch, 0.0].into_iter().enumerate() {
             check(level.load(number).torque, expected, "home");
         }
@@ -93,19 +95,19 @@ fn irb6_holds_its_gripper_along_the_roll_axis() {
     }
     // The wrist is lowered by a quarter turn, and the gripper hangs straight down.
     let quarter = 128.0 * FRAC_PI_2;
-    let down = posed(MechanismConfig::Irb6, &[0.0, 0.0, 0.0, -quarter]);
+    let down = posed(&MechanismConfig::Irb6, &[0.0, 0.0, 0.0, -quarter]);
     check(down.load(3).torque, 0.0, "down");
 }
 
 #[test]
 fn irp6_is_as_inert_as_its_masses_say() {
-    let home = posed(MechanismConfig::Irp6, &[0.0; 6]);
+    let home = posed(&MechanismConfig::Irp6, &[0.0; 6]);
     let lower = 12.0 * (0.04 + 0.455 * 0.455 / 12.0) + 19.35 * 0.455 * 0.455;
     check(home.load(1).inertia, 1.8e-4 + lower / lower_screw(-FRAC_PI_2).1.powi(2), "lower arm");
     let column =
         45.0 * 0.04 + 14.0 * (0.0625 + 0.67 * 0.67 / 12.0) + 4.0 * 0.765 * 0.765 + 1.35 * (0.86 * 0.86 + 0.15 * 0.15);
     check(home.load(0).inertia, 1.7e-4 + column / 158.0_f64.powi(2), "column");
-    let track = posed(MechanismConfig::Irp6OnTrack, &[300.0, 20.0, 30.0]).load(0);
+    let track = posed(&MechanismConfig::Irp6OnTrack, &[300.0, 20.0, 30.0]).load(0);
     let mass = 60.0 + 45.0 + 12.0 + 14.0 + 4.0 + 1.35;
     check(track.inertia, 4.5e-4 + mass / 1570.796_f64.powi(2), "track");
     check(track.torque, 0.0, "track");
@@ -115,13 +117,13 @@ fn irp6_is_as_inert_as_its_masses_say() {
 fn pitch_of_the_wrist_takes_its_roll_along() {
     let quarter = 76.8 * FRAC_PI_2;
     let lowered = (quarter / 128.0).cos();
-    let roll = |pitch, roll| posed(MechanismConfig::Irp6, &[0.0, 0.0, 0.0, pitch, roll]).load(4).torque;
+    let roll = |pitch, roll| posed(&MechanismConfig::Irp6, &[0.0, 0.0, 0.0, pitch, roll]).load(4).torque;
     // When the pitch motor turns and the roll motor stands, the gripper turns upright.
     check(roll(quarter, 0.0), 0.0, "left behind");
     check(roll(quarter, quarter), G * 1.35 * 0.15 * lowered / 76.8, "taken along");
     // Conversely, a level gripper also loads the pitch motor, with the opposite sign.
-    let without = posed(MechanismConfig::Irp6, &[0.0, 0.0, 0.0, quarter]);
-    let with = posed(MechanismConfig::Irp6, &[0.0, 0.0, 0.0, quarter, quarter]);
+    let without = posed(&MechanismConfig::Irp6, &[0.0, 0.0, 0.0, quarter]);
+    let with = posed(&MechanismConfig::Irp6, &[0.0, 0.0, 0.0, quarter, quarter]);
     let straight = -G * (4.0 * 0.095 + 1.35 * 0.19) * lowered / 128.0;
     check(with.load(3).torque, straight - with.load(4).torque, "pitch with the gripper level");
     // The raised wrist carries the gripper upright, so that the gripper leans back over the pitch axis. Its weight
@@ -139,16 +141,16 @@ fn polycrank_weighs_what_its_masses_say() {
         9.0 * 0.09 + 7.0 * 0.18 + 4.0 * 0.2555 + 3.5 * 0.4065 + 2.1 * 0.482,
         4.0 * 0.0755 + 3.5 * 0.2265 + 2.1 * 0.302,
     ];
-    let single = posed(polycrank(false), &[quarter]);
+    let single = posed(&polycrank(false), &[quarter]);
     // Behind parallel cranks the motors set sums of joint angles: all three motors turn with the first joint.
-    let coupled = posed(polycrank(true), &[quarter, quarter, quarter]);
+    let coupled = posed(&polycrank(true), &[quarter, quarter, quarter]);
     for (number, arm) in arms.into_iter().enumerate() {
         check(single.load(number).torque, G * arm / 50.0, "joint");
         let next = arms.get(number + 1).copied().unwrap_or(0.0);
         check(coupled.load(number).torque, G * (arm - next) / 50.0, "coupled");
     }
     // At home the second group also turns about a level axis. Only the tool lies beside that axis, by 21.5 mm.
-    let home = posed(polycrank(false), &[]);
+    let home = posed(&polycrank(false), &[]);
     for number in 0..3 {
         let arm = 4.0 * -0.06 + 3.5 * -0.178 + 1.5 * -0.266 + 0.6 * -0.296;
         check(home.load(number).torque, G * arm / 50.0, "home");
@@ -164,7 +166,7 @@ fn polycrank_weighs_what_its_masses_say() {
                 motors[joint] += motors[joint - 1];
             }
         }
-        let away = posed(polycrank(coupled), &motors);
+        let away = posed(&polycrank(coupled), &motors);
         let home = Mechanism::new(MechanismConfig::Polycrank { coupled, at_home });
         for number in 0..7 {
             check(home.load(number).torque, away.load(number).torque, "at home");
@@ -212,15 +214,15 @@ fn rnt_hangs_in_equal_shares_from_upright_legs() {
         check(mechanism.load(wrist).torque, 0.0, "wrist on the plumb line");
     }
     // The second axis of the wrist bends the tool aside.
-    let bent = posed(RNT, &[0.0, 0.0, 0.0, 0.0, 50.0]);
+    let bent = posed(&RNT, &[0.0, 0.0, 0.0, 0.0, 50.0]);
     let arm = (4.0 * 0.05 + 3.0 * 0.175) * 0.5_f64.sin();
     check(bent.load(4).torque, -G * arm / 100.0, "bent wrist");
 }
 
 #[test]
 fn loads_of_another_pose_are_those_of_a_robot_that_stands_there() {
-    for config in ROBOTS {
-        let motors: Vec<_> = (0..Mechanism::new(config).axes()).map(|number| 3.0 - number as f64).collect();
+    for config in &ROBOTS {
+        let motors: Vec<_> = (0..Mechanism::new(config.clone()).axes()).map(|number| 3.0 - number as f64).collect();
         let (here, there) = (posed(config, &vec![0.0; motors.len()]), posed(config, &motors));
         let before: Vec<_> = (0..motors.len()).map(|number| here.load(number)).collect();
         let angles: Vec<_> = motors.iter().map(|motor| 100.0 + motor).collect();
@@ -236,7 +238,7 @@ fn loads_of_another_pose_are_those_of_a_robot_that_stands_there() {
 #[test]
 fn payload_weighs_on_every_axis_that_lifts_it() {
     let angle = -60_f64.to_radians();
-    let mechanism = posed(MechanismConfig::Irp6, &[0.0, lower_motor(angle)]);
+    let mechanism = posed(&MechanismConfig::Irp6, &[0.0, lower_motor(angle)]);
     let before: Vec<_> = (0..6).map(|axis| mechanism.load(axis).torque).collect();
     mechanism.set_payload(6.0, [0.0, 0.0, 0.25]);
     let roll = G * 6.0 * 0.25 / 76.8;
@@ -349,8 +351,8 @@ fn payload_taken_up_is_held_with_the_torque_it_weighs() {
 }
 
 /// All axes of a robot with its presets, mounted.
-fn axes(config: MechanismConfig, seed: u64) -> (Mechanism, Vec<AxisConfig>, Vec<PlantAxis>) {
-    let mechanism = Mechanism::new(config);
+fn axes(config: &MechanismConfig, seed: u64) -> (Mechanism, Vec<AxisConfig>, Vec<PlantAxis>) {
+    let mechanism = Mechanism::new(config.clone());
     let configs: Vec<_> = (0..mechanism.axes()).filter_map(|number| preset(config, number)).collect();
     let mounted = configs.iter().enumerate().map(|(number, config)| {
         let mount = mechanism.mount(number, config.index_angle);
@@ -360,18 +362,19 @@ fn axes(config: MechanismConfig, seed: u64) -> (Mechanism, Vec<AxisConfig>, Vec<
     (mechanism, configs, mounted)
 }
 
-fn preset(config: MechanismConfig, number: usize) -> Option<AxisConfig> {
+fn preset(config: &MechanismConfig, number: usize) -> Option<AxisConfig> {
     match config {
         MechanismConfig::Irb6 | MechanismConfig::Irp6 => Some(AxisConfig::irp6(Irp6Axis::ALL[number])),
         MechanismConfig::Irp6OnTrack => AxisConfig::irp6_track(number),
         MechanismConfig::Rnt { .. } => AxisConfig::rnt(number),
         MechanismConfig::Polycrank { .. } => AxisConfig::polycrank(number),
+        MechanismConfig::Chain(_) => None,
     }
 }
 
 #[test]
 fn every_axis_of_every_robot_moves_with_all_others() {
-    for robot in ROBOTS {
+    for robot in &ROBOTS {
         let (_, configs, mut axes) = axes(robot, 3);
         let mut worst = vec![0; axes.len()];
         let mut from = vec![0.0; axes.len()];
@@ -399,8 +402,8 @@ fn every_axis_of_every_robot_moves_with_all_others() {
 #[test]
 fn loops_are_tuned_to_inertias_that_poses_keep_to() {
     let mut noise = Noise::new(11);
-    for robot in ROBOTS {
-        let mechanism = Mechanism::new(robot);
+    for robot in &ROBOTS {
+        let mechanism = Mechanism::new(robot.clone());
         for _ in 0..2000 {
             let together = 0.4 * noise.symmetric();
             for number in 0..mechanism.axes() {
@@ -429,7 +432,7 @@ fn loops_are_tuned_to_inertias_that_poses_keep_to() {
 
 #[test]
 fn one_seed_and_one_order_are_one_run_bit_for_bit() {
-    for robot in ROBOTS {
+    for robot in &ROBOTS {
         let run = |seed, reversed: bool| {
             let (mechanism, _, mut axes) = axes(robot, seed);
             for k in 0..300 {

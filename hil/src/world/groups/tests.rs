@@ -32,7 +32,7 @@ impl Fallen {
         let buses = [(); 3].map(|()| world.add_bus(Bitrate::KBPS_1000));
         let mut scene = Scene::new();
         scene.add_wall(&floor()).unwrap();
-        let arms = [MechanismConfig::Irb6, second].map(|config| (config, Mechanism::new(config)));
+        let arms = [MechanismConfig::Irb6, second].map(|config| (config.clone(), Mechanism::new(config)));
         let arms = [0, 1].map(|arm: usize| {
             let (config, mechanism) = &arms[arm];
             for number in 0..mechanism.axes() {
@@ -124,11 +124,11 @@ fn distant_body() -> BodyConfig {
 fn robots_that_do_not_meet_move_as_if_all_devices_advanced_together() {
     let cases = [(MechanismConfig::Irb6, false), (MechanismConfig::Irb6, true), (RNT, false)];
     for (second, shared) in cases {
-        let separate = Fallen::new(second, shared, |_| ());
+        let separate = Fallen::new(second.clone(), shared, |_| ());
         let (bytes, bits, groups) = separate.run();
         // A bus with drives of both robots joins their groups.
         assert_eq!(groups, if shared { 1 } else { 2 }, "shared: {shared}");
-        let together = Fallen::new(second, shared, |scene| _ = scene.add_body(&distant_body()).unwrap());
+        let together = Fallen::new(second.clone(), shared, |scene| _ = scene.add_body(&distant_body()).unwrap());
         assert!(bytes.len() > 2 * 1_000 * 14, "{} bytes", bytes.len());
         let (together_bytes, together_bits, groups) = together.run();
         assert_eq!(groups, 1);
