@@ -141,6 +141,9 @@ enum Command {
     /// Print the data sheet of a robot, of the gripper or of the conveyor: geometry, drives, limits, and the source of
     /// each number. The format is Markdown; the figure is SVG.
     Datasheet(descriptions::datasheet::Options),
+    /// Write a cell file for a robot that is described in URDF. Numbers that the description does not have are nominal, and
+    /// the file says so.
+    New(descriptions::new::Options),
     /// Print the description of a robot (URDF) for viewers and libraries of rigid bodies.
     Urdf(descriptions::kinematics::Which),
     /// Run a command in a virtual machine with CAN.
@@ -210,6 +213,7 @@ fn answer(command: Command) -> anyhow::Result<ExitCode> {
             descriptions::kinematics::kinematics(&question).and_then(|answer| streams::answer(&answer, question.json()))
         }
         Command::Datasheet(options) => descriptions::datasheet::datasheet(&options).and_then(streams::print),
+        Command::New(options) => descriptions::new::new(&options).and_then(streams::print),
         Command::Urdf(which) => descriptions::urdf::urdf(&which).and_then(streams::print),
         Command::Vm { machine } => vm::vm(&machine),
         Command::Schema { scenario: true, .. } => scenario_schema(),

@@ -20,6 +20,7 @@ mod lab;
 mod mechanism;
 mod motor;
 mod noise;
+mod nominal;
 mod switch;
 mod thermal;
 mod wut;
@@ -32,6 +33,7 @@ pub use mechanism::{ChainBodies, ChainBodyJoint, ChainError, Load, Mechanism, Me
 pub(crate) use mechanism::{Kinematics, Shafts};
 pub use motor::{EndStops, Gravity, MotorConfig};
 pub use noise::Noise;
+pub use nominal::Duty;
 pub use switch::Switch;
 pub use thermal::ThermalConfig;
 pub use wut::{Wut, WutConfig};

@@ -3,6 +3,7 @@
 use std::fmt;
 use std::sync::Arc;
 
+use controller::robot::Chain;
 use controller::sensor::OperatorLink;
 use serde::Serialize;
 use servo::Servo;
@@ -10,7 +11,7 @@ use servo::Servo;
 use crate::bench::emulation::{self, Emulation};
 use crate::bench::{BenchKind, emulated_lines, emulated_sensors};
 use crate::budget::{self, Bundle, BusBudget, MessageBudget, SensorBudget};
-use crate::cell::{CellFile, IoNode, printable};
+use crate::cell::{CellFile, IoNode, Parameters, printable};
 use crate::rehearsal::{self, Rehearsed};
 use crate::{run::RunningTask, setup, tasks::Program};
 
@@ -35,6 +36,9 @@ struct CheckedRobot {
     name: String,
     axes: usize,
     instructions: usize,
+    /// What is special about an arm of the key `chain`.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    chain: Vec<String>,
     configurations: Vec<CheckedConfiguration>,
 }
 
@@ -81,6 +85,7 @@ pub fn check(file: &CellFile, program: &Program) -> anyhow::Result<CheckReport> 
         name: robot.name.clone(),
         axes: robot.axis.len(),
         instructions: robot.program.len(),
+        chain: chain(&robot.numbers()),
         configurations: configurations(file, number),
     });
     Ok(CheckReport {
@@ -115,6 +120,28 @@ fn assemble(file: &CellFile, program: &Program, rehearsed: &Rehearsed) -> anyhow
     Ok(())
 }
 
+/// How the inverse kinematics of a chain works, and what its emulation lacks.
+fn chain(numbers: &Parameters) -> Vec<String> {
+    let Parameters::Chain(given) = numbers else {
+        return Vec::new();
+    };
+    let form = Chain::new(given).expect("a parsed chain is sound").closed_form();
+    let inverse = match form {
+        Some(form) => format!("inverse kinematics in closed form: {form}"),
+        None => "inverse kinematics by a numerical search: no closed form is known for this geometry".to_owned(),
+    };
+    let unknown = given.joints.iter().filter(|joint| joint.body.is_none()).map(|joint| joint.name.as_str());
+    let unknown: Vec<_> = unknown.collect();
+    let masses = match unknown.len() {
+        0 => None,
+        all if all == given.joints.len() => {
+            Some("no link has a mass: each emulated axis moves a load of its own, without weight".to_owned())
+        }
+        _ => Some(format!("links without a mass are emulated without weight: {}", unknown.join(", "))),
+    };
+    [inverse].into_iter().chain(masses).collect()
+}
+
 fn configurations(file: &CellFile, robot: usize) -> Vec<CheckedConfiguration> {
     let configured = file.cell.robot[robot].axis.iter().enumerate().filter_map(|(number, axis)| {
         let configuration = file.configuration(robot, number)?;
@@ -132,6 +159,9 @@ impl fmt::Display for CheckReport {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         for robot in &self.robots {
             writeln!(f, "robot {}: {} axes, {} instructions", robot.name, robot.axes, robot.instructions)?;
+            for said in &robot.chain {
+                writeln!(f, "  {said}")?;
+            }
             for configured in &robot.configurations {
                 writeln!(
                     f,

@@ -2,6 +2,8 @@
 //!
 //! A robot keeps [`RobotParameters`] in a file of its own in `controller`. CONTRIBUTING.md has the recipe.
 
+mod chain;
+
 use std::f64::consts::PI;
 use std::sync::Arc;
 
@@ -9,10 +11,11 @@ use nalgebra::{UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 
 use controller::robot::{
-    ConveyorParameters, GripperParameters, Irb6Parameters, Irp6Parameters, Irp6TrackParameters, Mass, ParameterError,
-    PolycrankParameters, Pose, RntParameters, Robot, RobotParameters,
+    ChainParameters, ConveyorParameters, GripperParameters, Irb6Parameters, Irp6Parameters, Irp6TrackParameters,
+    LinkKind, Mass, ParameterError, PolycrankParameters, Pose, RntParameters, Robot, RobotParameters,
 };
-use hil::{AxisConfig, Irp6Axis, MechanismConfig, plant::Switch};
+use hil::plant::{ChainError, Switch};
+use hil::{AxisConfig, Irp6Axis, MechanismConfig};
 
 use crate::cell::Plant;
 
@@ -28,6 +31,7 @@ macro_rules! each_robot {
             $crate::cell::Parameters::Polycrank($it) => $value,
             $crate::cell::Parameters::Gripper($it) => $value,
             $crate::cell::Parameters::Conveyor($it) => $value,
+            $crate::cell::Parameters::Chain($it) => $value,
         }
     };
 }
@@ -76,6 +80,9 @@ pub enum Parameters {
     Gripper(GripperParameters),
     /// For `model = "conveyor"`.
     Conveyor(ConveyorParameters),
+    /// For the key `chain`, which states them.
+    #[serde(skip)]
+    Chain(ChainParameters),
 }
 
 impl Parameters {
@@ -89,6 +96,7 @@ impl Parameters {
             Self::Polycrank(_) => "polycrank",
             Self::Gripper(_) => "gripper",
             Self::Conveyor(_) => "conveyor",
+            Self::Chain(_) => "chain",
         }
     }
 
@@ -108,6 +116,7 @@ impl Parameters {
             Self::Polycrank(it) => Self::Polycrank(it.with_room_at_home(motors)),
             Self::Gripper(it) => Self::Gripper(it.with_room_at_home(motors)),
             Self::Conveyor(it) => Self::Conveyor(it.with_room_at_home(motors)),
+            Self::Chain(it) => Self::Chain(it.with_room_at_home(motors)),
         }
     }
 
@@ -135,6 +144,7 @@ impl Parameters {
             // The extension of the central leg.
             Self::Rnt(_) => axis == 2,
             Self::Irb6(_) | Self::Irp6(_) | Self::Polycrank(_) => false,
+            Self::Chain(given) => given.joints.get(axis).is_some_and(|joint| joint.kind == LinkKind::Prismatic),
         }
     }
 
@@ -147,9 +157,12 @@ impl Parameters {
     pub fn plants(&self) -> &'static [Plant] {
         match self {
             Self::Irb6(_) | Self::Irp6(_) => &[Plant::Physical, Plant::Wut],
-            Self::Irp6Track(_) | Self::Rnt(_) | Self::Polycrank(_) | Self::Gripper(_) | Self::Conveyor(_) => {
-                &[Plant::Physical]
-            }
+            Self::Irp6Track(_)
+            | Self::Rnt(_)
+            | Self::Polycrank(_)
+            | Self::Gripper(_)
+            | Self::Conveyor(_)
+            | Self::Chain(_) => &[Plant::Physical],
         }
     }
 
@@ -164,8 +177,17 @@ impl Parameters {
                 coupled: given.coupled,
                 at_home: given.axes.map(|axis| axis.joint_at_home),
             },
+            Self::Chain(given) => return chain::mechanism(given).expect("a parsed chain has sound bodies"),
             Self::Gripper(_) | Self::Conveyor(_) => return None,
         })
+    }
+
+    /// What the emulated mechanism cannot take of the numbers.
+    pub(crate) fn check_mechanism(&self) -> Result<(), ChainError> {
+        match self {
+            Self::Chain(given) => chain::mechanism(given).map(|_| ()),
+            _ => Ok(()),
+        }
     }
 
     /// Frames of the emulated mechanism in those of the robot: the mechanism's base in the base, and the mechanism's flange
@@ -179,7 +201,9 @@ impl Parameters {
             Self::Irp6Track(given) => (along_z(given.robot.arm.shoulder_height), Pose::identity()),
             // The mechanism has its flange beyond the centre of the wrist.
             Self::Rnt(_) => (Pose::identity(), along_z(0.1)),
-            Self::Polycrank(_) | Self::Gripper(_) | Self::Conveyor(_) => (Pose::identity(), Pose::identity()),
+            Self::Polycrank(_) | Self::Gripper(_) | Self::Conveyor(_) | Self::Chain(_) => {
+                (Pose::identity(), Pose::identity())
+            }
         }
     }
 
@@ -192,6 +216,7 @@ impl Parameters {
             Self::Polycrank(_) => AxisConfig::polycrank(number).expect(AS_MANY),
             Self::Gripper(_) => AxisConfig::gripper(),
             Self::Conveyor(_) => AxisConfig::conveyor(),
+            Self::Chain(given) => chain::plant(given, number),
         };
         preset.with_home(home)
     }
@@ -271,7 +296,7 @@ mod tests {
     fn the_motors_of_a_model_have_the_torques_of_its_emulated_motors() {
         for model in Model::ALL {
             let parameters = model.parameters();
-            let ratings = each_robot!(parameters, it => it.motors());
+            let ratings = each_robot!(&parameters, it => it.motors());
             if matches!(model, Model::Gripper | Model::Conveyor) {
                 assert!(ratings.is_empty(), "{model:?} has no links");
                 continue;

@@ -132,7 +132,7 @@ fn a_cell_brings_its_own_parameters() {
         parameters.wrist_offset = 0.3;
         let robot = &mut cell.robot[0];
         robot.name = "mill".into();
-        robot.model = Model::Rnt;
+        robot.model = Some(Model::Rnt);
         robot.parameters = Some(Parameters::Rnt(parameters));
         robot.program.clear();
     });

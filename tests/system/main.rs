@@ -55,6 +55,7 @@ mod oscillations;
 mod outputs;
 mod outside;
 mod overload;
+mod own_robot;
 mod random;
 mod ranging;
 mod reaction;

@@ -52,7 +52,7 @@ const EDGE: f64 = std::f64::consts::PI;
 
 impl MotorData {
     /// An axis with the edge of its home switch half a motor turn below home.
-    fn config(&self, home_from: f64) -> AxisConfig {
+    pub(super) fn config(&self, home_from: f64) -> AxisConfig {
         self.axis((home_from, self.home - EDGE), BOUNCE)
     }
 

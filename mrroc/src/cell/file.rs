@@ -9,6 +9,7 @@ use drive::cia402::Identity;
 use serde::de::DeserializeOwned;
 use thiserror::Error;
 
+use crate::input;
 use crate::inputs::Inputs;
 
 use super::{Axis, Cell, CellError, LARGEST, device_configuration::DeviceConfiguration, read};
@@ -26,6 +27,8 @@ pub struct CellFile {
     pub arms: Vec<Arm>,
     /// The device configurations by robot and axis, where the cell names a file.
     configurations: Vec<Vec<Option<DeviceConfiguration>>>,
+    /// The robot descriptions that the cell names.
+    descriptions: Vec<PathBuf>,
     /// The files that were read.
     inputs: Inputs,
 }
@@ -47,10 +50,19 @@ impl CellFile {
         let inputs = Inputs::default();
         let bytes = inputs.read_of_cell("the cell file", path, LARGEST).with_context(|| path.display().to_string())?;
         let text = Cell::text(&bytes).map_err(|error| refusal(path, &error))?.to_owned();
-        let cell = Cell::parse(&text).map_err(|error| refusal(path, &error))?;
+        let mut descriptions = Vec::new();
+        let mut description = |name: &str| {
+            let path = path.parent().unwrap_or(path).join(name);
+            let bytes = inputs.read_of_cell("a robot description of the cell", &path, input::SHEET);
+            let text = String::from_utf8(bytes.map_err(|error| error.to_string())?.to_vec());
+            descriptions.push(path);
+            text.map_err(|error| format!("is no UTF-8 text from byte {} on", error.utf8_error().valid_up_to()))
+        };
+        let cell = Cell::parse_with(&text, &mut description).map_err(|error| refusal(path, &error))?;
         let arms = (0..cell.robot.len()).map(|robot| cell.arm(robot)).collect::<Result<_, _>>();
         let arms = arms.expect("a parsed cell has sound parameters");
-        let mut file = Self { path: path.to_owned(), text, cell, arms, configurations: Vec::new(), inputs };
+        let mut file =
+            Self { path: path.to_owned(), text, cell, arms, configurations: Vec::new(), descriptions, inputs };
         for robot in 0..file.cell.robot.len() {
             let axes = 0..file.cell.robot[robot].axis.len();
             let read = axes.map(|axis| DeviceConfiguration::read(&file, robot, axis)).collect::<anyhow::Result<_>>()?;
@@ -79,9 +91,11 @@ impl CellFile {
         self.configurations[robot][axis].as_ref()
     }
 
-    /// The device configuration files of all axes that have one.
-    pub fn configuration_files(&self) -> impl Iterator<Item = &Path> {
-        self.configurations.iter().flatten().flatten().map(|configuration| configuration.path.as_path())
+    /// The files that the cell names: robot descriptions, and the device configuration files of all axes that have one.
+    pub fn named_files(&self) -> impl Iterator<Item = &Path> {
+        let configurations = self.configurations.iter().flatten().flatten();
+        let configurations = configurations.map(|configuration| configuration.path.as_path());
+        self.descriptions.iter().map(PathBuf::as_path).chain(configurations)
     }
 
     /// Expected identity of the drive of an axis: from the cell, or from the device configuration file where the cell

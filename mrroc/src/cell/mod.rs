@@ -9,6 +9,7 @@
 mod axis_controller;
 mod camera;
 mod can_force_sensor;
+mod chain;
 mod conveyor;
 mod defaults;
 mod device_configuration;
@@ -46,6 +47,9 @@ pub use crate::robots::{Model, Parameters};
 pub use axis_controller::{AxisController, Loop, Serial};
 pub use camera::{Camera, CameraEmulator};
 pub use can_force_sensor::{CanForceSensor, FieldContent, SensorField, SensorPdo};
+pub use chain::{
+    Body, ChainSettings, Convention, DenavitHartenberg, DescribedJoint, DescribedRobot, Frame, JointSettings, read_urdf,
+};
 pub use conveyor::{EmulatedConveyor, EmulatedGate, EmulatedObject};
 pub(crate) use device_configuration::DeviceConfiguration;
 pub use drive::axis_controller::{Control, Protocol};
@@ -187,10 +191,12 @@ pub struct Robot {
     /// Name of the robot in reports.
     #[cfg_attr(feature = "schema", schemars(regex(pattern = r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$")))]
     pub name: String,
-    /// Model of the robot.
-    pub model: Model,
+    /// Model of the robot, or `chain`.
+    pub model: Option<Model>,
     /// Geometry, drive train, home positions and limits, in place of those of the model.
     pub parameters: Option<Parameters>,
+    /// A serial arm that is no model of this list: from a robot description in URDF, or from a table of joints.
+    pub chain: Option<ChainSettings>,
     /// Place of the base in the frame of the cell, for tasks with several robots and for the emulated surroundings; the
     /// origin of this frame where absent.
     #[serde(default)]
@@ -257,7 +263,9 @@ impl Robot {
 
     /// The parameters of the robot: its own, or those of its model.
     pub fn numbers(&self) -> Parameters {
-        self.parameters.clone().unwrap_or_else(|| self.model.parameters())
+        let chain = || self.chain.as_ref()?.numbers.clone().map(Parameters::Chain);
+        let own = self.parameters.clone().or_else(chain).or_else(|| self.model.map(Model::parameters));
+        own.expect("a parsed robot has a model or a chain")
     }
 
     /// Kinematics and drive train, or the error in the parameters.
@@ -578,10 +586,19 @@ impl Cell {
         })
     }
 
-    /// Reads and checks the text of a cell file.
+    /// Reads and checks the text of a cell file that names no robot description.
     pub fn parse(text: &str) -> Result<Self, CellError> {
+        Self::parse_with(text, &mut |_| Err("is a file, which a text alone does not have".to_owned()))
+    }
+
+    /// Reads and checks the text of a cell file. `files` gives the robot descriptions that it names.
+    pub(crate) fn parse_with(
+        text: &str,
+        files: &mut dyn FnMut(&str) -> Result<String, String>,
+    ) -> Result<Self, CellError> {
         let document = read::parse(text)?;
-        let cell: Self = read::read(text, &document)?;
+        let mut cell: Self = read::read(text, &document)?;
+        chain::resolve(&mut cell, files).map_err(|(path, problem)| CellError::at(text, &path, problem))?;
         validation::check(&cell).map_err(|(path, problem)| CellError::at(text, &path, problem))?;
         Ok(cell)
     }

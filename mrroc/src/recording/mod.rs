@@ -368,7 +368,7 @@ impl Facts {
         let directory = file.path.parent().unwrap_or(Path::new(""));
         let name = |path: &Path| path.strip_prefix(directory).unwrap_or(path).to_string_lossy().into_owned();
         let mut files = vec![(name(&file.path), file.text.clone().into_bytes())];
-        for path in file.configuration_files() {
+        for path in file.named_files() {
             let bytes = file.inputs().bytes(path).with_context(|| format!("{} was not read", path.display()))?;
             files.push((name(path), bytes.to_vec()));
         }

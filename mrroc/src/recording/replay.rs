@@ -132,15 +132,24 @@ fn beside(path: &Path) -> Option<String> {
         .then(|| format!("a candump log has only the frames of a recording: replay {}", recording.display()))
 }
 
-/// The recorded cell file with its device configuration files, in `directory`.
+/// Greatest number of folders that a recorded file lies above the folder of its cell.
+const DEEPEST: usize = 16;
+
+/// The recorded cell file with the files that it names, in `directory`.
 fn recorded_cell(reader: &Reader, directory: &Path) -> anyhow::Result<CellFile> {
     let mut cell = None;
+    // Files above the folder of the cell have names that begin with `..`. They stay within `directory`.
+    let above = |name: &str| Path::new(name).components().take_while(|part| *part == Component::ParentDir).count();
+    let depth = reader.facts().files.iter().map(|(name, _)| above(name)).max().unwrap_or(0).min(DEEPEST);
+    let folder = directory.join(PathBuf::from_iter(std::iter::repeat_n("in", depth)));
+    fs::create_dir_all(&folder)?;
     for (name, bytes) in &reader.facts().files {
         let path = Path::new(name);
-        if !path.components().all(|part| matches!(part, Component::Normal(_))) {
+        let below = path.components().skip(above(name));
+        if above(name) > depth || !below.into_iter().all(|part| matches!(part, Component::Normal(_))) {
             continue;
         }
-        let path = directory.join(path);
+        let path = folder.join(path);
         fs::create_dir_all(path.parent().unwrap_or(directory))?;
         fs::write(&path, bytes)?;
         cell.get_or_insert(path);

@@ -4,5 +4,6 @@ pub mod cell_reference;
 pub mod datasheet;
 pub mod eds;
 pub mod kinematics;
+pub mod new;
 mod robots;
 pub mod urdf;

@@ -1,6 +1,7 @@
 //! What a data sheet says of each robot beside its numbers.
 
 mod arms;
+mod chain;
 mod devices;
 mod polycrank;
 mod rnt;

@@ -22,6 +22,7 @@ mod drives;
 mod forms;
 mod gantry;
 mod geometry;
+mod numbers;
 mod numeric;
 mod parallel;
 mod parameters;

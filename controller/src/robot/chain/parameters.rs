@@ -159,15 +159,14 @@ pub enum ChainError {
 
 impl ChainParameters {
     /// Masses of the links in the order of the joints, or `None` if the mass of any link is unknown.
-    pub fn masses(&self) -> Option<Vec<Mass>> {
+    pub fn known_masses(&self) -> Option<Vec<Mass>> {
         let mass = |joint: &ChainJoint| joint.body.map(|body| Mass { mass: body.mass, centre: body.centre });
         self.joints.iter().map(mass).collect()
     }
 
     /// The same numbers with room at home, in each joint range that includes the home position. The motors, in the
     /// order of the axes, come to rest up to these distances beside their home positions, rad.
-    #[must_use]
-    pub fn with_room_at_home(mut self, motors: &[f64]) -> Self {
+    pub(super) fn roomy(mut self, motors: &[f64]) -> Self {
         let Ok(matrix) = self.check() else {
             return self;
         };

@@ -2,7 +2,7 @@
 
 use super::axis::{self, Place};
 use super::{Checked, MOST, count, name, program, refused, some, twice, unique, weight, within};
-use crate::cell::{Axis, Cell, Path, Plant, Range, Robot, quoted};
+use crate::cell::{Axis, Cell, Model, Path, Plant, Range, Robot, quoted};
 
 /// Coordinates of a tool and of a centre of mass.
 pub(super) const NEAR: Range = Range::new(-10.0, 10.0, "m");
@@ -16,7 +16,9 @@ pub(super) fn check(cell: &Cell) -> Checked {
         name(&path, "name", &robot.name)?;
         unique(&robots, "name", index, cell.robot.iter().map(|it| &it.name), |name| format!("robot {name:?}"))?;
         check_parameters(&path, robot)?;
-        let kinematics = robot.kinematics().map_err(|error| (path.then("parameters"), error.to_string()))?;
+        let key = if robot.chain.is_some() { "chain" } else { "parameters" };
+        let kinematics = robot.kinematics().map_err(|error| (path.then(key), error.to_string()))?;
+        robot.numbers().check_mechanism().map_err(|error| (path.then(key), error.to_string()))?;
         let axes = path.then("axis");
         count(axes.clone(), robot.axis.len(), robot.numbers().axes(), "axes")?;
         let (limits, home) = (kinematics.motor_limits(), kinematics.home());
@@ -67,7 +69,9 @@ fn place_of(path: &Path, axis: &Axis, place: Place<'_>) -> Result<(&'static str,
 
 /// The parameters must be of the robot's model, even if another model has as many axes.
 fn check_parameters(path: &Path, robot: &Robot) -> Checked {
-    let usual = robot.model.parameters();
+    let Some(usual) = robot.model.map(Model::parameters) else {
+        return Ok(());
+    };
     match &robot.parameters {
         Some(given) if given.name() != usual.name() => {
             let (found, expected) = (given.name(), usual.name());

@@ -45,6 +45,7 @@ pub(crate) fn sheet(machine: &Machine) -> String {
     presets.retain(|preset| discriminant(preset) == discriminant(&machine.parameters));
     let presets: Vec<_> = presets.iter().map(described).collect();
     let (name, about) = (&machine.name, described_as.about);
+    let of_cell = if presets.is_empty() { " --cell CELL" } else { "" };
     let mut page = format!("# {name}\n\n{about}\n\n");
     if let Some(caution) = described_as.caution {
         let _ = write!(page, "**Mind:** {caution}.\n\n");
@@ -65,16 +66,18 @@ pub(crate) fn sheet(machine: &Machine) -> String {
         lines(&mut page, &described_as, &presets, |of| &of.drives);
     }
     links(&mut page, machine);
-    // The values in the table are copied from results of `mrroc identify`.
-    let _ = write!(
-        page,
-        "## Loop\n\nEmulated with nominal motors, at 10 rad/s of the motor and a period of 2 ms; as \
-         `mrroc identify {}` measures it.\n\n\
-         | axes | position loop | crossover, Hz | phase margin |\n|---|---|---|---|\n",
-        described_as.example
-    );
-    for cells in described_as.loops {
-        let _ = writeln!(page, "| {} |", cells.join(" | "));
+    if !described_as.loops.is_empty() {
+        // The values in the table are copied from results of `mrroc identify`.
+        let _ = write!(
+            page,
+            "## Loop\n\nEmulated with nominal motors, at 10 rad/s of the motor and a period of 2 ms; as \
+             `mrroc identify {}` measures it.\n\n\
+             | axes | position loop | crossover, Hz | phase margin |\n|---|---|---|---|\n",
+            described_as.example
+        );
+        for cells in described_as.loops {
+            let _ = writeln!(page, "| {} |", cells.join(" | "));
+        }
     }
     let _ = write!(
         page,
@@ -82,7 +85,7 @@ pub(crate) fn sheet(machine: &Machine) -> String {
          - *public code*: read in the published source that is named.\n\
          - *derived*: follows from such numbers by arithmetic.\n\
          - *nominal*: a plausible figure, to be replaced by measurement.\n\n\
-         `mrroc datasheet --robot {name}` prints this page, with `--figure` its figure.\n"
+         `mrroc datasheet --robot {name}{of_cell}` prints this page, with `--figure` its figure.\n"
     );
     page
 }
