@@ -26,13 +26,13 @@ pub use drivers::{axis_controllers, serial_sensors};
 pub use layouts::layouts;
 pub use lines::slcan;
 pub use recordings::recording;
-pub use texts::{cell, eds, scenario, text_lines};
+pub use texts::{cell, eds, scenario, text_lines, urdf};
 
 /// A target: its name and its body.
 pub type Target = (&'static str, fn(&[u8]));
 
 /// All targets, in the order of their names.
-pub const TARGETS: [Target; 15] = [
+pub const TARGETS: [Target; 16] = [
     ("axis_controllers", axis_controllers),
     ("camera", camera),
     ("can_bus", can_bus),
@@ -48,4 +48,5 @@ pub const TARGETS: [Target; 15] = [
     ("serial_sensors", serial_sensors),
     ("slcan", slcan),
     ("text_lines", text_lines),
+    ("urdf", urdf),
 ];

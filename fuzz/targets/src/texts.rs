@@ -9,7 +9,7 @@ use canopen::eds::Eds;
 use canopen::{NodeId, dcf};
 use controller::trajectory_file::TrajectoryFile;
 use mrroc::bench::plants::EmulatedCell;
-use mrroc::cell::Cell;
+use mrroc::cell::{Cell, read_urdf};
 use mrroc::scenario::Scenario;
 use toml::Value;
 
@@ -235,4 +235,25 @@ fn faults(input: &mut Unstructured, count: u8) -> arbitrary::Result<String> {
         }
     }
     Ok(text)
+}
+
+/// A robot description in URDF: a line and a problem, or a chain of finite numbers that `mrroc new` and cells can use.
+pub fn urdf(data: &[u8]) {
+    let Ok(text) = str::from_utf8(data) else { return };
+    match read_urdf(text, None, None).or_else(|_| read_urdf(text, None, Some("flange"))) {
+        Err(problem) => {
+            let line = problem.split(':').next().and_then(|line| line.parse::<u32>().ok());
+            assert!(line.is_some(), "{problem}");
+        }
+        Ok(described) => {
+            assert!(!described.joints.is_empty());
+            for joint in &described.joints {
+                let frame = joint.parent_from_joint.to_homogeneous();
+                let body = joint.body.map_or([0.0; 6], |body| body.components());
+                let numbers =
+                    frame.iter().chain(&joint.axis).chain(&body).chain(joint.velocity.iter().chain(&joint.effort));
+                assert!(numbers.into_iter().all(|number| number.is_finite()), "{joint:?}");
+            }
+        }
+    }
 }

@@ -7,11 +7,12 @@ use std::path::{Path, PathBuf};
 use mrroc_fuzz_targets::TARGETS;
 
 /// Inputs of a target beside its corpus, by the folder and the end of their names.
-const EXAMPLES: [(&str, &str, &str); 4] = [
+const EXAMPLES: [(&str, &str, &str); 5] = [
     ("cell", "cells", "toml"),
     ("scenario", "cells/scenarios", "toml"),
     ("eds", "cells", "eds"),
     ("eds", "tests", "dcf"),
+    ("urdf", "cells", "urdf"),
 ];
 
 /// Variations of each target. The costs of one input differ by a factor of a thousand.

@@ -90,7 +90,7 @@ fn both_bodies_have_the_inertia_of_their_union() {
 fn what_is_wrong_with_a_description_is_said_with_its_line() {
     for (good, bad, said) in [
         ("type=\"continuous\"", "type=\"floating\"", "joint \"elbow\" is floating"),
-        ("xyz=\"0 0 0.4\"", "xyz=\"0 0 nan\"", "14: xyz=\"nan\" is no finite number"),
+        ("xyz=\"0 0 0.4\"", "xyz=\"0 0 nan\"", "14: xyz=\"nan\" is no number between -1e9 and 1e9"),
         ("xyz=\"0 0 0.4\"", "xyz=\"0 0.4\"", "14: xyz has 2 numbers, must have three"),
         ("<child link=\"lower\"/>", "<child link=\"lowest\"/>", "names link \"lowest\""),
         ("<child link=\"lower\"/>", "<child link=\"upper\"/>", "is the child of the joints \"shoulder\" and \"elbow\""),

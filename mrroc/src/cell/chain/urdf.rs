@@ -55,6 +55,9 @@ struct FileJoint<'a> {
     child: &'a str,
 }
 
+/// Greatest number of a description, in its units: products of two stay finite.
+const MOST: f64 = 1e9;
+
 /// What is wrong, after the line of the file.
 type Refused = String;
 
@@ -306,6 +309,6 @@ fn triple(node: Node<'_, '_>, name: &str) -> Result<Option<[f64; 3]>, Refused> {
 }
 
 fn finite(node: Node<'_, '_>, name: &str, text: &str) -> Result<f64, Refused> {
-    let number = text.trim().parse().ok().filter(|number: &f64| number.is_finite());
-    number.ok_or_else(|| format!("{}: {name}={text:?} is no finite number", line(node)))
+    let number = text.trim().parse().ok().filter(|number: &f64| number.abs() <= MOST);
+    number.ok_or_else(|| format!("{}: {name}={text:?} is no number between -1e9 and 1e9", line(node)))
 }
