@@ -117,6 +117,11 @@ impl StepCheck {
         None
     }
 
+    /// Whether the last answers look like a step, which the next answers confirm or contradict.
+    pub(crate) fn is_undecided(&self) -> bool {
+        self.candidate.is_some()
+    }
+
     fn remember(&mut self, displacement: f64, dt: f64) {
         if dt <= 0.0 {
             return;
