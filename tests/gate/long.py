@@ -47,6 +47,7 @@ def parts(only, seed):
         soak("irb6", 24),
         soak("lab", 4),
         tests("seeds", "mrroc-tests/system", only or "random::", MRROC_RANDOM_SEED=str(seed), MRROC_RANDOM_TIMES="48"),
+        tests("grids", "mrroc-tests/system", only or "each_row_of_the_grids", MRROC_RANDOM_TIMES="1000"),
         tests("scenes", "mrroc-hil", only or "random_scenes", MRROC_RANDOM_SEED=str(seed), MRROC_RANDOM_TIMES="100"),
         tests("limits", "mrroc-controller", only or "when_a_limit_rises", MRROC_RANDOM_TIMES="25"),
         Part("tries", "test", tries, needs=["build"], processors=2),

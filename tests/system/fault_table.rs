@@ -101,6 +101,10 @@ fn a_detector_that_is_off_turns_its_rows_red() {
     for (off, fault, robot, phase) in [
         (D::Answers, "drive unplugged", "irp6-track", Cruising),
         (D::Answers, "answers lost", "irb6", Cruising),
+        (D::Answers, "answers 2 ms late, serial", "irb6", Cruising),
+        (D::Answers, "answers of all drives 4 ms late, serial", "irb6", Idle),
+        (D::Answers, "answers of two axes swapped", "irb6", Cruising),
+        (D::Answers, "host frames held for 200 ms", "irp6-track", Cruising),
         (D::Heartbeat, "heartbeat silent", "irp6-track", Cruising),
         (D::DriveStatus, "over-current", "irp6-track", Cruising),
         (D::DriveStatus, "over-current", "irb6", Cruising),
@@ -237,4 +241,68 @@ fn a_wrong_scenario_and_a_wrong_bench_are_refused_before_motion() {
     let refused = run("vcan");
     assert_eq!(refused.status.code(), Some(2));
     assert!(refused.stderr.contains("--scenario needs --bench lockstep or emulated"), "{refused:?}");
+}
+
+#[test]
+fn wrong_answers_of_the_older_telegrams_are_named_and_late_ones_are_found() {
+    let file = CellFile::read(example("irb6-hi-moxa")).unwrap();
+    let rows = |fault: &str, phase: FaultPhase| {
+        let options =
+            FaultOptions { fault: names(&[fault]), phase: vec![phase], once: true, ..FaultOptions::default() };
+        let table = fault_table(&file, &options).unwrap();
+        assert_eq!((table.played(), table.red().count()), (1, 0), "{fault}, {}: {}", phase.name(), table.page(false));
+        table.rows[0].result.clone().unwrap()
+    };
+    for (fault, cause) in [
+        ("every second answer old", "old answers again"),
+        ("answers reversed in pairs", "answers in reversed order"),
+        ("answers garbled", "whole answers with wrong contents"),
+        ("answers of two axes swapped", "answers are those of line"),
+        ("answers 2 ms late, serial", "1 period late"),
+        ("answers of all drives 4 ms late, serial", "2 periods late"),
+        ("answers of all drives 40 ms late, serial", "no answer to be believed"),
+    ] {
+        let found = rows(fault, FaultPhase::Cruising).cause;
+        assert!(found.as_ref().is_some_and(|found| found.contains(cause)), "{fault}: {found:?}");
+    }
+    for phase in FaultPhase::ALL.into_iter().filter(|phase| !matches!(phase, FaultPhase::Team)) {
+        for fault in ["answers garbled", "answers of all drives 4 ms late, serial", "answers 1 ms late, serial"] {
+            rows(fault, phase);
+        }
+    }
+}
+
+/// At rest, the plausibility check finds the steps alone. The drive of the conveyor takes a seventh of a step back within
+/// a period.
+#[test]
+fn a_jump_is_found_from_the_stated_step_on_at_rest_and_at_top_speed() {
+    use Detector as D;
+    let jumps = |cell: &str, robots: &[&str], at: &str, without: &[Detector]| {
+        let multiples = ["half the smallest step", "the smallest step", "1.5 smallest steps", "ten smallest steps"];
+        let options = FaultOptions {
+            robot: names(robots),
+            fault: multiples.map(|by| format!("encoder jumps by {by}, {at}")).to_vec(),
+            phase: vec![if at == "at rest" { FaultPhase::Idle } else { FaultPhase::Cruising }],
+            without: without.to_vec(),
+            once: true,
+            ..FaultOptions::default()
+        };
+        let table = fault_table(&CellFile::read(example(cell)).unwrap(), &options).unwrap();
+        assert_eq!(table.played(), 4 * robots.len(), "{table}");
+        table
+    };
+    for (cell, robots) in [("lab", &["irb6", "irp6-track", "conveyor"][..]), ("irb6-hi-moxa", &["irb6"])] {
+        for at in ["at rest", "at top speed"] {
+            let table = jumps(cell, robots, at, &[]);
+            let page = table.page(false);
+            assert_eq!(table.red().count(), 0, "{page}");
+            // Twenty times 1500 rad/s² in 2 ms, and four increments of 4000 in a turn.
+            assert!(page.contains("| irb6.column | 0.126 rad |"), "{page}");
+            let blind = jumps(cell, robots, at, &[D::Plausibility, D::Frozen, D::FollowingError, D::DriveStatus]);
+            let greater = blind.red().filter(|row| row.fault.contains("smallest steps")).count();
+            assert_eq!(greater, 2 * robots.len(), "{}", blind.page(false));
+        }
+        let alone = jumps(cell, robots, "at rest", &[D::Frozen, D::FollowingError, D::DriveStatus]);
+        assert_eq!(alone.red().count(), 0, "{}", alone.page(false));
+    }
 }

@@ -7,11 +7,13 @@
 //! - An obstacle or a counter that stands still takes the speed away. A shock gives the motor another speed.
 //! - A damaged answer is contradicted by the next one.
 //!
-//! Two answers after the step therefore decide.
+//! Two answers after the step therefore decide. The loop may take the step back meanwhile: the displacements after the step
+//! then change by no more than the acceleration permits, and half of the step is left at the first answer.
 //!
 //! # Smallest step
 //! A step counts from `max_acceleration` · period² + `latest` · speed + 2 increments per sample on, where `latest` is the
-//! longest delay of an answer that the group tolerates. Smaller steps are not found.
+//! longest delay of an answer that the group tolerates. Smaller steps are not found. The size of a step is that in the first
+//! answer after it, when the loop may have taken back a part of it.
 
 /// Answers after a step that must confirm the step.
 const ANSWERS_TO_CONFIRM: u32 = 2;
@@ -66,7 +68,8 @@ struct Candidate {
     residual: f64,
     /// Speed before the step, increments/s.
     velocity: f64,
-    /// Sum of the residuals since the step, increments.
+    /// The last residual since the step, and the sum of all, increments.
+    last: f64,
     left: f64,
     answers: u32,
 }
@@ -88,17 +91,23 @@ impl StepCheck {
         let displacement = f64::from(moved);
         if let Some(candidate) = &mut self.candidate {
             let residual = displacement - candidate.velocity * dt;
+            let before = std::mem::replace(&mut candidate.last, residual);
             candidate.left += residual;
             candidate.answers += 1;
+            let sign = candidate.residual.signum();
             let same_speed = residual.abs() <= UNCHANGED * candidate.residual.abs();
-            let stays = candidate.left * candidate.residual.signum() >= LEFT * candidate.residual.abs();
+            let stays = candidate.left * sign >= LEFT * candidate.residual.abs();
+            let accelerated = self.bounds.max_acceleration * dt * dt + 2.0 * ROUNDING;
+            let is_back = residual * sign < 0.0 && (residual - before).abs() <= accelerated;
+            let is_taken_back = is_back && (stays || candidate.answers > 1);
+            let confirms = dt > 0.0 && (same_speed && stays || is_taken_back);
             let decided = candidate.answers >= ANSWERS_TO_CONFIRM;
             let step = candidate.step;
-            if !same_speed || !stays || decided || dt <= 0.0 {
+            if !confirms || decided {
                 self.candidate = None;
             }
             self.remember(displacement, dt);
-            return (same_speed && stays && decided && dt > 0.0).then_some(step);
+            return (confirms && decided).then_some(step);
         }
         if let Some((before, time)) = self.displacement.filter(|_| dt > 0.0) {
             let velocity = before / time;
@@ -109,12 +118,17 @@ impl StepCheck {
             if residual.abs() > bound {
                 let most = (velocity.abs() * dt + bound).ceil() as u32;
                 let step = CounterStep { moved, most };
-                self.candidate = Some(Candidate { step, residual, velocity, left: residual, answers: 0 });
+                self.candidate = Some(Candidate { step, residual, velocity, last: 0.0, left: residual, answers: 0 });
                 return None;
             }
         }
         self.remember(displacement, dt);
         None
+    }
+
+    /// Whether the last answers look like a step, which the next answers confirm or contradict.
+    pub(crate) fn is_undecided(&self) -> bool {
+        self.candidate.is_some()
     }
 
     fn remember(&mut self, displacement: f64, dt: f64) {
@@ -188,6 +202,27 @@ mod tests {
     fn a_step_that_a_loop_begins_to_correct_is_found() {
         let corrected = cruise(10, |number| 1_000 - 100 * number);
         assert_eq!(found(corrected).map(|(number, _)| number), Some(22));
+    }
+
+    /// The drive of a light motor takes a step back within four answers, with half of the greatest acceleration and more.
+    #[test]
+    fn a_step_that_a_stiff_loop_takes_back_is_found() {
+        let bounds = StepBounds { max_acceleration: 12_700_000.0, ..BOUNDS };
+        let found = |offsets: &[i32]| {
+            let mut check = StepCheck::new(bounds);
+            let after = *offsets.last().unwrap();
+            let positions = [0; 20].iter().chain(offsets).copied().chain([after; 20]);
+            positions.enumerate().find_map(|(number, at)| check.take(at, PERIOD).map(|_| number))
+        };
+        for sign in [1, -1] {
+            for taken_back in [[71, 37, 6, -9], [71, 50, 20, -5], [71, 71, 40, 0], [71, 60, 51, 40]] {
+                assert_eq!(found(&taken_back.map(|at| sign * at)), Some(22), "{taken_back:?}");
+            }
+            // Damaged answers, a blow that bounces, a blow, and a counter that begins to count again.
+            for other in [[71, 0, 0, 0], [71, 71, 0, 0], [71, 20, 0, 0], [71, 5, -40, -80], [71, 105, 130, 150]] {
+                assert_eq!(found(&other.map(|at| sign * at)), None, "{other:?}");
+            }
+        }
     }
 
     #[test]

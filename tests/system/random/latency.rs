@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use can::Instant;
 use drive::axis_controller::{AxisConfig, AxisControllerGroup, Control, GroupConfig, Protocol};
-use drive::{AxisCommand, AxisState, DriveGroup, Scale};
+use drive::{AxisCommand, AxisState, DriveGroup, Finite, Scale, Setpoint};
 use hil::{AxisController, AxisControllerConfig, LineDevice, World};
 use serial::{Settings, VirtualLine};
 
@@ -18,6 +18,19 @@ const PHASES: u32 = 16;
 
 /// Virtual time of each accepted line in a default run: half an hour for all lines, and a day in the long ring.
 const USUAL: Duration = Duration::from_secs(31);
+
+/// Cycles between two changes of the sign of the set-points.
+const HALF_SWING: u64 = 50;
+
+/// What came of the cycles of a line.
+#[derive(Default)]
+struct Course {
+    state: AxisState,
+    /// Greatest age of a sample, periods.
+    oldest: u32,
+    /// Greatest speed, rad/s.
+    fastest: f64,
+}
 
 /// A drive behind an adapter, and its host.
 struct Line {
@@ -67,19 +80,30 @@ impl Line {
         }
     }
 
-    /// Cycles with set-points until a fault. Returns the last state, and the greatest age of a sample.
-    fn run(&mut self, time: Duration) -> (AxisState, u32) {
+    /// Cycles until a fault, in which the set-points swing the motor. Returns what came of them.
+    fn run(&mut self, protocol: Protocol, time: Duration) -> Course {
         let end = self.now + time;
         let mut states = [AxisState::default()];
-        let mut oldest = 0;
-        while self.now < end && states[0].fault.is_none() {
+        let mut course = Course::default();
+        for cycle in HALF_SWING / 2.. {
+            if self.now >= end || states[0].fault.is_some() {
+                break;
+            }
             self.pass(PERIOD);
             self.group.read(self.now, &mut states);
-            self.group.write(self.now, &[AxisCommand::Stand]);
+            let sign = if (cycle / HALF_SWING) % 2 == 0 { 1.0 } else { -1.0 };
+            let setpoint = match protocol {
+                Protocol::Nfv2 => Setpoint::Torque(Finite::new(sign * 0.4).unwrap()),
+                Protocol::HiMoxa => Setpoint::Duty(Finite::new(sign * 0.08).unwrap()),
+            };
+            let command = if states[0].following { AxisCommand::Follow(setpoint) } else { AxisCommand::Stand };
+            self.group.write(self.now, &[command]);
             self.group.send(self.now);
-            oldest = oldest.max(states[0].age);
+            course.oldest = course.oldest.max(states[0].age);
+            course.fastest = course.fastest.max(states[0].velocity.abs());
         }
-        (states[0], oldest)
+        course.state = states[0];
+        course
     }
 }
 
@@ -94,8 +118,9 @@ fn no_line_that_bring_up_accepts_is_stopped() {
                 let mut line = Line::new(protocol, Duration::from_millis(timer), start);
                 if line.bring_up() {
                     accepted += 1;
-                    let (state, oldest) = line.run(USUAL * times as u32);
+                    let Course { state, oldest, fastest } = line.run(protocol, USUAL * times as u32);
                     assert_eq!(state.fault, None, "{protocol:?}, {timer} ms, phase {phase}");
+                    assert!(fastest > 20.0, "{protocol:?}, {timer} ms, phase {phase}: {fastest} rad/s");
                     assert!(oldest <= 2, "{protocol:?}, {timer} ms, phase {phase}: {oldest} periods");
                 }
             }

@@ -17,6 +17,8 @@ mod cells;
 
 mod exceptions;
 
+mod grids;
+
 mod homed;
 
 mod latency;

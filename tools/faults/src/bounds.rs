@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use mrroc::cell::CellFile;
+use mrroc::cell::{Axis, CellFile};
 use mrroc::scenario::FaultKind;
 use servo::MAX_AXES;
 
@@ -17,6 +17,8 @@ pub(super) enum Within {
     Answers,
     /// The same. The wire is cut, so a drive on CAN stops by itself after three heartbeats of the host.
     Cut,
+    /// Cycles over which missing and late answers of a serial line are counted; two such windows at rest.
+    Window,
     /// Four periods of the heartbeat.
     Heartbeat,
     /// The following error grows to its limit.
@@ -39,6 +41,9 @@ pub(super) enum Within {
     /// The wrong macrostep begins after the present one. Four periods are added.
     Macrostep,
 }
+
+/// Cycles of a window of answers, and ten more.
+const WINDOW: u32 = 210;
 
 /// Margin of the bound of the distance for the loops of the drives.
 const MARGIN: f64 = 1.1;
@@ -67,6 +72,49 @@ fn fall(limit: f64, acceleration: f64) -> f64 {
     limit + (seen + caught) / 2.0 * CATCHING + caught * caught / (2.0 * weight)
 }
 
+/// Missing answers that the bus or the lines of an axis tolerate.
+fn tolerated_missing(file: &CellFile, axis: &Axis) -> u32 {
+    let cell = &file.cell;
+    let bus = cell.bus.iter().find(|bus| bus.name == axis.bus).map(|bus| bus.tolerated_missing);
+    let bundle = cell.serial.iter().find(|serial| serial.name == axis.bus).map(|serial| serial.tolerated_missing);
+    bus.or(bundle).unwrap_or(0)
+}
+
+/// Error of two displacements of a counter from rounding, increments.
+const ROUNDING: f64 = 4.0;
+
+/// Smallest step of the counter, increments, that the plausibility check finds while a motor moves at `speed`, rad/s. The page
+/// of faults states it: the plausible acceleration in a period, the way in the longest delay, and four increments.
+pub(super) fn smallest_step(file: &CellFile, axis: &Axis, speed: f64) -> f64 {
+    let acceleration = match axis.drive {
+        Some(_) => axis.drive_config(0.0).plausible_acceleration,
+        None => axis.controller_config(0.0).max_acceleration,
+    };
+    let period = file.cell.period().as_secs_f64();
+    let latest = f64::from(tolerated_missing(file, axis) + 2) * period;
+    axis.scale(0.0).increments_per_radian().abs() * (acceleration * period * period + latest * speed) + ROUNDING
+}
+
+/// Smallest steps of the counter of one axis, rad of the motor.
+#[derive(Clone, Debug)]
+pub(super) struct SmallestSteps {
+    pub(super) axis: String,
+    pub(super) at_rest: f64,
+    pub(super) at_max_velocity: f64,
+}
+
+impl SmallestSteps {
+    /// Those of all axes of a robot.
+    pub(super) fn of(file: &CellFile, robot: usize) -> impl Iterator<Item = Self> {
+        let robot = &file.cell.robot[robot];
+        robot.axis.iter().map(|axis| {
+            let step = |speed| smallest_step(file, axis, speed) / axis.scale(0.0).increments_per_radian().abs();
+            let name = format!("{}.{}", robot.name, axis.name);
+            Self { axis: name, at_rest: step(0.0), at_max_velocity: step(axis.max_velocity) }
+        })
+    }
+}
+
 impl FaultCase {
     /// Declared bounds on robot 0 of a cell whose motors move at `velocity`, rad/s.
     ///
@@ -83,9 +131,7 @@ impl FaultCase {
         let robot = &cell.robot[0];
         let name = &robot.axis[axis].bus;
         let bus = cell.bus.iter().find(|bus| bus.name == *name);
-        let bundle = cell.serial.iter().find(|serial| serial.name == *name);
-        let tolerated = bus.map(|bus| bus.tolerated_missing).or(bundle.map(|it| it.tolerated_missing)).unwrap_or(0);
-        let answers = cell.period() * (tolerated + 4);
+        let answers = cell.period() * (tolerated_missing(file, &robot.axis[axis]) + 4);
         let silence = Duration::from_millis(4 * bus.map_or(100, |bus| u64::from(bus.heartbeat_ms)));
         let obstacle =
             if self.origin == Origin::Emulated(FaultKind::Collision) { self.numbers().distance } else { 0.0 };
@@ -95,6 +141,7 @@ impl FaultCase {
         let (detection, blind) = match self.within {
             Within::Answers => both(answers),
             Within::Cut => (answers, bus.map_or(answers, |bus| Duration::from_millis(3 * u64::from(bus.heartbeat_ms)))),
+            Within::Window => both(cell.period() * if phase == FaultPhase::Idle { 2 * WINDOW } else { WINDOW }),
             Within::Heartbeat => both(silence),
             Within::Error | Within::Lost => {
                 (at_speed(4.0 * (obstacle + error)) + Duration::from_millis(50), Duration::ZERO)

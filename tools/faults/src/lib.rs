@@ -20,17 +20,19 @@ mod row;
 pub mod soak;
 mod stage;
 
+use std::collections::BTreeSet;
 use std::path::PathBuf;
 
 use anyhow::bail;
 use clap::Args;
-use mrroc::cell::{CellFile, Plant};
+use mrroc::cell::{Cell, CellFile, Plant, Protocol};
 
 pub use detector::Detector;
 pub use phase::FaultPhase;
 pub use row::Row;
 
-use catalogue::{CASES, FaultCase, Wire};
+use bounds::SmallestSteps;
+use catalogue::{CASES, FaultCase, GRIDS, Wire};
 use origin::Origin;
 
 /// Options of `mrroc faults`.
@@ -57,6 +59,14 @@ pub struct FaultOptions {
     /// Write only the worst phase of each fault and robot.
     #[arg(long)]
     pub summary: bool,
+    /// Play the dense grids of delays too, whose faults begin with "grid: ".
+    #[arg(long)]
+    pub grids: bool,
+}
+
+/// Names of the faults of the dense grids.
+pub fn grid_faults() -> impl Iterator<Item = &'static str> {
+    GRIDS.into_iter().flatten().map(|case| case.name)
 }
 
 /// The rows of a cell.
@@ -67,6 +77,8 @@ pub struct FaultTable {
     /// The rows, in the order of faults, robots and phases.
     pub rows: Vec<Row>,
     without: Vec<Detector>,
+    /// Of the robots whose counters jump in the rows.
+    steps: Vec<SmallestSteps>,
 }
 
 /// Plays all rows that the options select.
@@ -78,19 +90,25 @@ pub fn fault_table(file: &CellFile, options: &FaultOptions) -> anyhow::Result<Fa
             bail!("--robot {name}: the cell has no such robot; there are {}", names.join(", "));
         }
     }
+    let grids = || GRIDS.into_iter().flatten().filter(|_| options.grids);
+    let cases = || CASES.iter().chain(grids());
     for name in &options.fault {
-        if !CASES.iter().any(|case| case.name == name) {
-            let names: Vec<_> = CASES.iter().map(|case| case.name).collect();
+        if !cases().any(|case| case.name == name) {
+            let names: Vec<_> = cases().map(|case| case.name).collect();
             bail!("--fault {name:?}: there is no such fault; there are {}", names.join(", "));
         }
     }
     let chosen = |list: &[String], name: &str| list.is_empty() || list.iter().any(|it| it == name);
     let mut rows = Vec::new();
-    for case in CASES.iter().filter(|case| chosen(&options.fault, case.name)) {
-        for (robot, given) in cell.robot.iter().enumerate().filter(|(_, robot)| chosen(&options.robot, &robot.name)) {
-            let wire = if given.axis[0].drive.is_some() { Wire::Can } else { Wire::Serial };
+    let mut jumping = BTreeSet::new();
+    for case in cases().filter(|case| chosen(&options.fault, case.name)) {
+        for (robot, _) in cell.robot.iter().enumerate().filter(|(_, robot)| chosen(&options.robot, &robot.name)) {
+            let wire = wire(cell, (robot, 0));
             if !case.wires.contains(&wire) {
                 continue;
+            }
+            if case.jump.is_some() {
+                jumping.insert(robot);
             }
             for phase in FaultPhase::ALL.into_iter().filter(|it| options.phase.is_empty() || options.phase.contains(it))
             {
@@ -98,7 +116,8 @@ pub fn fault_table(file: &CellFile, options: &FaultOptions) -> anyhow::Result<Fa
             }
         }
     }
-    Ok(FaultTable { cell: cell.name.clone(), rows, without: options.without.clone() })
+    let steps = jumping.into_iter().flat_map(|robot| SmallestSteps::of(file, robot)).collect();
+    Ok(FaultTable { cell: cell.name.clone(), rows, without: options.without.clone(), steps })
 }
 
 fn row(file: &CellFile, robot: usize, case: &FaultCase, wire: Wire, phase: FaultPhase, options: &FaultOptions) -> Row {
@@ -132,6 +151,16 @@ fn row(file: &CellFile, robot: usize, case: &FaultCase, wire: Wire, phase: Fault
     let played = play();
     let again = (!options.once).then(play);
     Row::judge(&staged, (case, expected), phase, axis, played, again)
+}
+
+/// The wire of an axis, given as robot and axis number.
+fn wire(cell: &Cell, (robot, number): (usize, usize)) -> Wire {
+    let axis = &cell.robot[robot].axis[number];
+    match cell.serial.iter().find(|bundle| bundle.name == axis.bus).map(|bundle| bundle.protocol) {
+        None => Wire::Can,
+        Some(Protocol::Nfv2) => Wire::Nfv2,
+        Some(Protocol::HiMoxa) => Wire::HiMoxa,
+    }
 }
 
 /// The axis that homes first.

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::fmt::{self, Display, Write as _};
 use std::time::Duration;
 
+use super::bounds::SmallestSteps;
 use super::{FaultTable, Row};
 
 /// How to read the table.
@@ -11,6 +12,11 @@ const HEAD: &str = "A fault strikes the first axis of a robot; in rows of homing
 that does not hold is a fault of all axes; missed deadlines and an emergency stop are faults of the whole cell. \
 Times count from the fault. The distance is that of the joint from the fault to standstill, measured at the emulated \
 plant, of the axis that comes nearest to its bound. The bound is behind the distance. A row with a mark ✗ is red.";
+
+/// How to read the smallest steps.
+const STEPS: &str = "The plausibility check finds steps of a counter from this size on, as an angle of the motor. The size is \
+that in the first answer after the step, when the loop may have taken back a part of it.\n\n\
+| axis | at rest | at `max_velocity` |\n|---|---|---|";
 
 impl FaultTable {
     /// The red rows.
@@ -47,6 +53,12 @@ impl FaultTable {
             for row in &self.rows {
                 let _ = writeln!(page, "{}", line(row));
             }
+        }
+        if !self.steps.is_empty() {
+            let _ = writeln!(page, "\n## Smallest steps of the counters\n\n{STEPS}");
+        }
+        for SmallestSteps { axis, at_rest, at_max_velocity } in &self.steps {
+            let _ = writeln!(page, "| {axis} | {at_rest:.3} rad | {at_max_velocity:.3} rad |");
         }
         page
     }

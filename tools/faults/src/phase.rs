@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use controller::robot::Arm;
-use mrroc::cell::CellFile;
+use mrroc::cell::{Axis, CellFile};
 use servo::{MAX_AXES, Macrostep};
 
 use super::origin::Flaw;
@@ -46,14 +46,15 @@ impl FaultPhase {
     }
 
     /// Time of the strike after the beginning of the motion, of homing or of standing.
-    pub(super) fn strikes_after(self) -> Duration {
+    pub(super) fn strikes_after(self, course: &Course) -> Duration {
+        let Course { ramp, cruise, .. } = *course;
         match self {
             Self::Idle => Duration::from_millis(100),
             Self::Homing => Duration::from_millis(400),
-            Self::Accelerating => RAMP / 2,
-            Self::Cruising | Self::Team => RAMP + CRUISE / 2,
-            Self::Contact => RAMP + CRUISE * 3 / 4,
-            Self::Braking => RAMP + CRUISE + RAMP / 2,
+            Self::Accelerating => ramp / 2,
+            Self::Cruising | Self::Team => ramp + cruise / 2,
+            Self::Contact => ramp + cruise * 3 / 4,
+            Self::Braking => ramp + cruise + ramp / 2,
         }
     }
 
@@ -62,18 +63,52 @@ impl FaultPhase {
     }
 }
 
-/// Duration of acceleration and of braking of the fixed motion.
-pub(super) const RAMP: Duration = Duration::from_millis(160);
-/// Duration at constant speed.
-pub(super) const CRUISE: Duration = Duration::from_millis(400);
-/// Share of the greatest velocity of a motor that the fixed motion uses at most.
-const SPEED: f64 = 0.25;
-/// Share of the greatest acceleration that the fixed motion uses at most.
-const EFFORT: f64 = 0.4;
-/// Share of the room of a motor that the fixed motion uses at most.
-const ROOM: f64 = 0.4;
 /// Servo periods of a macrostep.
 pub(super) const STEPS: u16 = 10;
+
+/// Times and speed of the fixed motion.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Course {
+    /// Duration of acceleration and of braking.
+    pub(super) ramp: Duration,
+    /// Duration at constant speed.
+    pub(super) cruise: Duration,
+    /// Share of the greatest velocity of a motor that the motion uses at most.
+    speed: f64,
+    /// Share of the greatest acceleration that the motion uses at most.
+    effort: f64,
+    /// Share of the room of a motor that the motion uses at most.
+    room: f64,
+}
+
+impl Course {
+    const USUAL: Self = Self {
+        ramp: Duration::from_millis(160),
+        cruise: Duration::from_millis(400),
+        speed: 0.25,
+        effort: 0.4,
+        room: 0.4,
+    };
+
+    /// The motion with which all motors of the cell reach their greatest speed, as far as their room permits.
+    fn fast(file: &CellFile) -> Self {
+        let fast = Self { cruise: Duration::from_millis(160), speed: 0.9, effort: 0.6, room: 0.8, ..Self::USUAL };
+        let axes = file.cell.robot.iter().flat_map(|robot| &robot.axis);
+        let time = |axis: &Axis| fast.speed * axis.max_velocity / (fast.effort * axis.max_acceleration);
+        let longest = axes.map(time).fold(fast.ramp.as_secs_f64(), f64::max).min(LONGEST_RAMP);
+        // Whole macrosteps.
+        let step = file.cell.period() * u32::from(STEPS);
+        let steps = (longest / step.as_secs_f64()).ceil() as u32;
+        Self { ramp: step * steps, ..fast }
+    }
+
+    pub(super) fn of(file: &CellFile, at_top_speed: bool) -> Self {
+        if at_top_speed { Self::fast(file) } else { Self::USUAL }
+    }
+}
+
+/// Longest ramp of a motion at top speed, s.
+const LONGEST_RAMP: f64 = 0.8;
 
 /// The fixed motion of a robot: all motors accelerate, move at constant speed and brake at the same times, away from
 /// the nearer end of their range.
@@ -83,6 +118,7 @@ pub(super) struct FixedMotion {
     /// Velocity at constant speed, rad/s.
     pub(super) velocity: [f64; MAX_AXES],
     period: f64,
+    course: Course,
     sent: u64,
     first: u64,
     end: Option<End>,
@@ -99,16 +135,17 @@ struct End {
 
 impl FixedMotion {
     /// The motion of robot `robot` from `from`, rad of the motors.
-    pub(super) fn of(file: &CellFile, robot: usize, from: [f64; MAX_AXES], first: u64) -> Self {
-        let ramp = RAMP.as_secs_f64();
-        let way = ramp + CRUISE.as_secs_f64();
+    pub(super) fn of(file: &CellFile, robot: usize, from: [f64; MAX_AXES], first: u64, course: Course) -> Self {
+        let ramp = course.ramp.as_secs_f64();
+        let way = ramp + course.cruise.as_secs_f64();
         let arm: &Arm = &file.arms[robot];
         let mut velocity = [0.0; MAX_AXES];
         for (number, axis) in file.cell.robot[robot].axis.iter().enumerate() {
             let (low, high) = range(file, robot, number);
             let (up, down) = (high - from[number], from[number] - low);
             let sign = if up >= down { 1.0 } else { -1.0 };
-            let most = [SPEED * axis.max_velocity, EFFORT * axis.max_acceleration * ramp, ROOM * up.max(down) / way];
+            let Course { speed, effort, room, .. } = course;
+            let most = [speed * axis.max_velocity, effort * axis.max_acceleration * ramp, room * up.max(down) / way];
             velocity[number] = sign * most.into_iter().fold(f64::INFINITY, f64::min);
         }
         // A mechanism with closed loops takes no arbitrary motor positions.
@@ -119,7 +156,7 @@ impl FixedMotion {
             }
             velocity.iter_mut().for_each(|velocity| *velocity *= 0.5);
         }
-        Self { from, velocity, period: file.cell.period().as_secs_f64(), sent: 0, first, end: None }
+        Self { from, velocity, period: file.cell.period().as_secs_f64(), course, sent: 0, first, end: None }
     }
 
     /// Ends the motion of robot `robot` with a wrong macrostep of `axis`, the first that begins later than `after`. All
@@ -147,7 +184,7 @@ impl FixedMotion {
 
     /// The next macrostep; `None` at the end of the motion.
     pub(super) fn next(&mut self) -> Option<Macrostep> {
-        let (ramp, cruise) = (RAMP.as_secs_f64(), CRUISE.as_secs_f64());
+        let (ramp, cruise) = (self.course.ramp.as_secs_f64(), self.course.cruise.as_secs_f64());
         let step = self.period * f64::from(STEPS);
         if self.sent as f64 * step >= 2.0 * ramp + cruise - 1e-9 {
             return None;
@@ -166,7 +203,7 @@ impl FixedMotion {
 
     /// The next macrostep, which ends at `t`, s, after `steps` periods.
     fn step(&mut self, t: f64, steps: u16) -> Macrostep {
-        let (ramp, cruise) = (RAMP.as_secs_f64(), CRUISE.as_secs_f64());
+        let (ramp, cruise) = (self.course.ramp.as_secs_f64(), self.course.cruise.as_secs_f64());
         self.sent += 1;
         // Way and velocity, in units of the velocity at constant speed.
         let (way, share) = if t < ramp {

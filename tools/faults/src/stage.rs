@@ -12,10 +12,11 @@ use mrroc::{run, setup};
 use serial::Line;
 use servo::{EffectorLink, MAX_AXES, Order, Phase, Servo, ServoFault, ServoState, StopCategory, StopCause, lockstep};
 
+use super::bounds::smallest_step;
 use super::catalogue::FaultCase;
 use super::detector::{Detector, Without};
 use super::origin::{CONTACT, Flaw, Missed, Origin};
-use super::phase::{CRUISE, FaultPhase, FixedMotion, RAMP};
+use super::phase::{Course, FaultPhase, FixedMotion};
 
 /// Longest preparation: enabling and referencing.
 const PREPARATION: Duration = Duration::from_secs(20);
@@ -78,6 +79,7 @@ struct Stage<'a> {
     /// Drives of the axes, robot after robot.
     drives: Vec<Vec<DriveId>>,
     motions: Vec<FixedMotion>,
+    course: Course,
     /// The spring of a row of contact.
     spring: Option<FaultInEffect>,
     /// The deadlines that the host misses, and the number of cycles since the strike.
@@ -99,7 +101,7 @@ pub(super) fn play(
     axis: usize,
     without: &[Detector],
 ) -> anyhow::Result<Played> {
-    let mut stage = Stage::new(file, phase, without)?;
+    let mut stage = Stage::new(file, phase, without, Course::of(file, case.at_top_speed))?;
     stage.prepare(phase)?;
     if phase == FaultPhase::Homing {
         stage.order(0, Order::Home);
@@ -110,8 +112,8 @@ pub(super) fn play(
         }
         stage.begin_motion(phase)?;
     }
-    let strike = stage.now + phase.strikes_after();
-    let buffer_at = stage.now + RAMP;
+    let strike = stage.now + phase.strikes_after(&stage.course);
+    let buffer_at = stage.now + stage.course.ramp;
     let mut pressed = phase != FaultPhase::Contact;
     while stage.now < strike {
         if !pressed && stage.now >= buffer_at {
@@ -128,7 +130,7 @@ pub(super) fn play(
 }
 
 impl<'a> Stage<'a> {
-    fn new(file: &'a CellFile, phase: FaultPhase, without: &[Detector]) -> anyhow::Result<Self> {
+    fn new(file: &'a CellFile, phase: FaultPhase, without: &[Detector], course: Course) -> anyhow::Result<Self> {
         let (mut emulation, ends) = Emulation::with(file, phase != FaultPhase::Homing);
         let boxed = |line| Box::new(line) as Box<dyn Line>;
         let lines = ends.lines.into_iter().map(|bundle| bundle.into_iter().map(boxed).collect()).collect();
@@ -149,7 +151,8 @@ impl<'a> Stage<'a> {
             (0..given.axis.len()).map(axis).collect::<anyhow::Result<_>>()
         });
         let drives = drives.collect::<anyhow::Result<_>>()?;
-        Ok(Self { file, servo, links, emulation, drives, motions: Vec::new(), spring: None, missed: None, now })
+        let motions = Vec::new();
+        Ok(Self { file, servo, links, emulation, drives, motions, course, spring: None, missed: None, now })
     }
 
     fn cycle(&mut self) {
@@ -182,7 +185,7 @@ impl<'a> Stage<'a> {
     /// Lets the generator of the robot err in the first macrostep that begins after the strike. A partner in a team gets a
     /// macrostep of the same length.
     fn spoil(&mut self, phase: FaultPhase, axis: usize, flaw: Flaw) {
-        let after = phase.strikes_after();
+        let after = phase.strikes_after(&self.course);
         self.motions[0].spoil(self.file, 0, axis, after, flaw);
         if flaw != Flaw::Absent {
             self.motions[1..].iter_mut().for_each(|motion| motion.cut(after));
@@ -239,7 +242,7 @@ impl<'a> Stage<'a> {
         let from = |robot: usize| self.links[robot].latest.read();
         let motion = |robot| {
             let snapshot = from(robot);
-            FixedMotion::of(self.file, robot, snapshot.commanded, snapshot.macrostep)
+            FixedMotion::of(self.file, robot, snapshot.commanded, snapshot.macrostep, self.course)
         };
         let motions: Vec<_> = (0..robots).map(motion).collect();
         // The fixed motion gives the velocities for the bounds of all phases.
@@ -269,7 +272,7 @@ impl<'a> Stage<'a> {
             (None, Some(controller)) => controller.max_current * controller.torque_constant / 3.0,
             (None, None) => bail!("an axis without a drive"),
         };
-        let way = self.motions[0].velocity[axis].abs() * (CRUISE + RAMP).as_secs_f64();
+        let way = self.motions[0].velocity[axis].abs() * (self.course.cruise + self.course.ramp).as_secs_f64();
         let fault = PlantFault::Buffer { distance: 0.25 * way, stiffness: rated / 3.0 / (0.75 * way).max(1e-3) };
         self.spring = Some(self.emulation.begin_fault(&WorldFault::Plant { drive: self.drives[0][axis], fault }));
         Ok(())
@@ -296,11 +299,17 @@ impl<'a> Stage<'a> {
             }
             Origin::Generator(_) => return Ok(Vec::new()),
         };
-        let struck = if case.disables { 0..self.drives[0].len() } else { axis..axis + 1 };
+        let struck = if case.disables || case.all_axes { 0..self.drives[0].len() } else { axis..axis + 1 };
+        let mut numbers = case.numbers();
+        if let Some(multiple) = case.jump {
+            let speed = if self.phase(0) == Phase::Moving { self.motions[0].velocity[axis].abs() } else { 0.0 };
+            let given = &self.file.cell.robot[0].axis[axis];
+            numbers.increments = (multiple * smallest_step(self.file, given, speed)).ceil() as i32;
+        }
         let mut faults = Vec::new();
         for axis in struck {
             let place = axis_place(self.file, self.emulation.ids(), (0, axis)).context("an axis without a drive")?;
-            faults.extend(kind.faults(&place, &case.numbers()).map_err(|problem| anyhow!("the fault {problem}"))?);
+            faults.extend(kind.faults(&place, &numbers).map_err(|problem| anyhow!("the fault {problem}"))?);
         }
         Ok(faults.iter().map(|fault| self.emulation.begin_fault(fault)).collect())
     }

@@ -7,7 +7,7 @@ use serial::nfv2::Status;
 
 use super::config::{AxisConfig, GroupConfig};
 use super::stream::Answer;
-use crate::step_check::{StepBounds, StepCheck};
+use crate::step_check::{CounterStep, StepBounds, StepCheck};
 use crate::{Increments, Milliamperes};
 
 /// Answers in a row that must agree about a position beyond reach before it is accepted as a jump of the counter.
@@ -30,7 +30,8 @@ const ANSWERS_TO_FREEZE: u32 = 25;
 ///
 /// Plausible positions are accepted at once. A position that is only within reach is accepted when the next answer
 /// agrees with it. A position beyond reach is a jump of the counter when three answers agree about it. A step within reach
-/// that the acceleration cannot explain is a jump when two further answers confirm it ([`StepCheck`]).
+/// that the acceleration cannot explain is a jump when two further answers confirm it ([`StepCheck`]). A position that waits
+/// for the next answer is part of this check, so that a step is judged over the time between two answers.
 #[derive(Clone, Debug)]
 pub(super) struct PositionCheck {
     /// Increments/s.
@@ -63,6 +64,8 @@ struct Candidate {
     answers: u32,
     /// The position is beyond reach, and the index pulse cannot have set it.
     beyond_reach: bool,
+    /// Has taken the positions of these answers.
+    steps: StepCheck,
 }
 
 /// Result of a plausibility check of a position.
@@ -137,25 +140,27 @@ impl PositionCheck {
         let moved = f64::from(new.position.wrapping_sub(last.position));
         let within_reach = moved.abs() <= self.reach(dt);
         self.contradicted = self.candidate.is_some_and(|candidate| candidate.beyond_reach);
-        if within_reach && self.plausible(moved, dt) {
-            return self.accept_motion(new, moved, dt, answer.status, may_index);
-        }
         let agree = self.candidate.filter(|candidate| {
             let moved = f64::from(new.position.wrapping_sub(candidate.last.position));
             moved.abs() <= self.reach(self.elapsed(candidate.last, new))
         });
+        let (from, mut steps) = agree.map_or((last, self.steps), |before| (before.last, before.steps));
+        let step = steps.take(new.position, self.elapsed(from, new));
+        if within_reach && self.plausible(moved, dt) {
+            return self.accept_motion(new, (moved, dt), answer.status, may_index, (steps, step));
+        }
         self.contradicted = self.contradicted && agree.is_none();
         let answers = agree.map_or(0, |candidate| candidate.answers) + 1;
         let near_zero = f64::from(new.position).abs() <= self.reach(dt);
         let referenced = |status: Option<Status>| status.is_none_or(|status| status.any(Status::SYNCHRONIZED));
         let index = may_index && !within_reach && near_zero && referenced(answer.status);
         let status = answer.status.or(agree.and_then(|before| before.status));
-        self.candidate = Some(Candidate { last: new, status, answers, beyond_reach: !within_reach && !index });
+        self.candidate = Some(Candidate { last: new, status, answers, beyond_reach: !within_reach && !index, steps });
         let Some(before) = agree.filter(|_| answers >= ANSWERS_TO_CONFIRM) else {
             return if index { Verdict::Unconfirmed } else { Verdict::Implausible };
         };
         if within_reach {
-            return self.accept_motion(new, moved, dt, status, may_index);
+            return self.accept_motion(new, (moved, dt), status, may_index, (steps, step));
         }
         if index && status.is_none() {
             return Verdict::Unconfirmed;
@@ -188,10 +193,25 @@ impl PositionCheck {
         self.candidate.is_some_and(|candidate| candidate.beyond_reach)
     }
 
-    /// Accepts a position within reach, unless it confirms a step of the counter.
-    fn accept_motion(&mut self, new: Sample, moved: f64, dt: f64, status: Option<Status>, may_index: bool) -> Verdict {
+    /// Accepts a position within reach, `moved` increments from the last accepted one in `dt` seconds. `checked` is the check
+    /// of steps with all answers up to this one, and the step that the answer confirms. If these answers show no step, only
+    /// the accepted positions are checked.
+    fn accept_motion(
+        &mut self,
+        new: Sample,
+        (moved, dt): (f64, f64),
+        status: Option<Status>,
+        may_index: bool,
+        checked: (StepCheck, Option<CounterStep>),
+    ) -> Verdict {
         self.accept(new, Some(moved / dt), dt);
-        let step = self.steps.take(new.position, dt);
+        let (steps, step) = checked;
+        let step = if step.is_some() || steps.is_undecided() {
+            self.steps = steps;
+            step
+        } else {
+            self.steps.take(new.position, dt)
+        };
         match step {
             Some(step) if !may_index => Verdict::Jumped { from: new.position.wrapping_sub(step.moved), status },
             _ => Verdict::Plausible,

@@ -129,6 +129,33 @@ fn a_counter_that_jumps_stops_the_cabinet_and_is_never_followed() {
     }
 }
 
+/// The acceleration covers 25.5 increments per period, an answer may be (`tolerated_missing` + 2) periods late, and two
+/// displacements are rounded by two increments each.
+#[test]
+fn a_counter_that_steps_is_found_from_the_stated_step_on_at_rest_and_in_motion() {
+    for protocol in BOTH {
+        for velocity in [0, 40, -40] {
+            let tolerated = GroupConfig::new(protocol).tolerated_missing as i32;
+            let least = 30 + (tolerated + 2) * 40 * i32::from(velocity != 0);
+            // The reach of a period, and of two, are 160 and 287 increments from a standstill.
+            let found = [least, least + 4, 3 * least / 2, 2 * least, least + 60, 160, 200, 290, 10 * least];
+            let found = found.into_iter().filter(|step| *step >= least).map(|step| (step, true));
+            for (step, is_found) in found.chain([(least / 2, false)]) {
+                for step in [step, -step] {
+                    let mut rig = Rig::on(Drive { velocity, ..Drive::new(protocol, 8) });
+                    rig.run(10, AxisCommand::Stand);
+                    rig.drive().position += step;
+                    rig.run(6, AxisCommand::Stand);
+                    let jumped = matches!(rig.fault(), Some(AxisControllerFault::Jumped { .. }));
+                    let fault = rig.fault();
+                    assert_eq!(jumped, is_found, "{protocol:?} at {velocity}: {step}, of {least}: {fault:?}");
+                    assert!(is_found || fault.is_none(), "{protocol:?} at {velocity}: {step}: {fault:?}");
+                }
+            }
+        }
+    }
+}
+
 #[test]
 fn a_counter_that_jumped_is_no_reference_for_whoever_comes_after() {
     for protocol in BOTH {

@@ -5,7 +5,7 @@ use std::time::Duration;
 use mrroc::cell::CellFile;
 use mrroc::scenario::{FaultKind, FaultNumbers};
 
-use crate::catalogue::{CASES, FaultCase, Wire};
+use crate::catalogue::{CASES, FaultCase};
 use crate::origin::Origin;
 
 /// Greatest delay of a fault after the beginning of its minute.
@@ -57,7 +57,7 @@ impl PlannedFault {
         let robots = &file.cell.robot;
         let robot = random.below(robots.len());
         let axis = random.below(robots[robot].axis.len());
-        let wire = if robots[robot].axis[axis].drive.is_some() { Wire::Can } else { Wire::Serial };
+        let wire = crate::wire(&file.cell, (robot, axis));
         let is_played = |case: &FaultCase| case.wires.contains(&wire) && emulated(case).is_some();
         let cases: Vec<_> = (0..CASES.len()).filter(|case| is_played(&CASES[*case])).collect();
         let case = cases[random.below(cases.len())];
@@ -91,6 +91,7 @@ impl PlannedFault {
 /// without them, the plans of the published runs stay as they are.
 fn emulated(case: &FaultCase) -> Option<FaultKind> {
     match case.origin {
+        _ if !case.in_soak => None,
         Origin::Emulated(FaultKind::InterfaceRemoved | FaultKind::HostHeld) => None,
         Origin::Emulated(kind) => Some(kind),
         Origin::Deadlines(_) | Origin::EmergencyStop | Origin::Generator(_) => None,

@@ -10,7 +10,7 @@ use mrroc::cell::CellFile;
 use mrroc::tasks::{Cell, Outcome, Robot};
 use servo::MAX_AXES;
 
-use crate::phase::{CRUISE, FixedMotion, RAMP};
+use crate::phase::{Course, FixedMotion};
 
 /// Share of the limits of velocity and acceleration that the motions use.
 const SHARE: f64 = 0.4;
@@ -48,8 +48,9 @@ fn poses(file: &CellFile, robot: usize) -> anyhow::Result<[Vec<f64>; 2]> {
     let arm = &file.arms[robot];
     let home = arm.robot().home();
     let from = std::array::from_fn(|axis| if axis < arm.axes() { home[axis] } else { 0.0 });
-    let velocity = FixedMotion::of(file, robot, from, 0).velocity;
-    let time = (RAMP + CRUISE).as_secs_f64();
+    let course = Course::of(file, false);
+    let velocity = FixedMotion::of(file, robot, from, 0, course).velocity;
+    let time = (course.ramp + course.cruise).as_secs_f64();
     let to = std::array::from_fn(|axis| from[axis] + velocity[axis] * time);
     let joints = |motors: &[f64; MAX_AXES]| anyhow::Ok(arm.joints(motors)?[..arm.axes()].to_vec());
     Ok([joints(&from)?, joints(&to)?])
