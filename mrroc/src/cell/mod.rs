@@ -49,6 +49,7 @@ pub use camera::{Camera, CameraEmulator};
 pub use can_force_sensor::{CanForceSensor, FieldContent, SensorField, SensorPdo};
 pub use conveyor::{EmulatedConveyor, EmulatedGate, EmulatedObject};
 pub(crate) use device_configuration::DeviceConfiguration;
+pub use device_configuration::{Checked, Refused};
 pub use drive::axis_controller::{Control, Protocol};
 pub use drives::ENABLING;
 pub use emergency_contact::EmergencyContact;

@@ -60,6 +60,20 @@ impl Value {
         }
     }
 
+    /// A default or a limit, with the error of its line. A number whose meaning is certain is read in other spellings as
+    /// well.
+    pub(super) fn read(data_type: DataType, text: Text<'_>) -> (Option<Self>, Option<EdsError>) {
+        match Self::parse(data_type, text) {
+            Ok(value) => (Some(value), None),
+            Err(error) => {
+                let plain = plain(data_type, text.text);
+                let value = plain.and_then(|plain| Self::parse(data_type, Text { text: &plain, ..text }).ok());
+                let error = if value.is_some() { EdsCause::Spelling.at(text.line) } else { error };
+                (value, Some(error))
+            }
+        }
+    }
+
     pub(super) fn parse(data_type: DataType, text: Text<'_>) -> Result<Self, EdsError> {
         let Text { line, text } = text;
         match data_type {
@@ -87,6 +101,29 @@ impl fmt::Display for Value {
             Self::Bytes(bytes) => bytes.iter().try_for_each(|byte| write!(f, "{byte:02X}")),
         }
     }
+}
+
+/// A number as the standard writes it, of one with a comment behind `#`, with the suffix of a C literal, or with another
+/// name of the node-ID; `None` if it has none of these.
+fn plain(data_type: DataType, text: &str) -> Option<String> {
+    const NAMES: [&str; 2] = ["$MY_NODE_ID", "$NODE_ID"];
+    let mut plain = text.split('#').next().unwrap_or(text).trim().to_owned();
+    for name in NAMES {
+        if let Some(at) = plain.to_ascii_uppercase().find(name) {
+            plain.replace_range(at..at + name.len(), "$NODEID");
+        }
+    }
+    let is_hex = plain.starts_with("0x") || plain.starts_with("0X");
+    let suffix: &[char] = match data_type {
+        DataType::Real32 | DataType::Real64 if is_hex => &[],
+        DataType::Real32 | DataType::Real64 => &['f', 'F', 'l', 'L'],
+        _ => &['u', 'U', 'l', 'L'],
+    };
+    let letters = plain.len() - plain.trim_end_matches(suffix).len();
+    if !plain.to_ascii_uppercase().ends_with("$NODEID") && letters <= 3 {
+        plain.truncate(plain.len() - letters);
+    }
+    (plain != text).then_some(plain)
 }
 
 /// A decimal, hexadecimal or octal number (CiA 306-1 §6.3), with a sign in front if it is below zero.
