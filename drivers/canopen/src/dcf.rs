@@ -109,8 +109,9 @@ pub fn download(dcf: &Eds, node: NodeId) -> Result<Download, Refusal> {
         match (write(object, variable, parameter, node), communication_parameter(object.index)) {
             (Ok(read), _) if !writable => download.compared.push(read),
             (Err(_), _) if !writable => download.left_out += 1,
+            // The other writes of a PDO change what the device holds.
             (Ok(write), Some(pdo)) => {
-                pdos.entry(pdo).or_default().insert(object, write);
+                pdos.entry(pdo).or_default().insert(object, ObjectWrite { is_default: false, ..write });
             }
             (Ok(write), None) => download.writes.push(write),
             (Err(error), _) => errors.push(error),
@@ -177,7 +178,7 @@ fn remap(
     let cob_id = Object::new(communication, 1);
     let on = take(dcf, node, &mut stated, cob_id, DataType::Unsigned32, line)?;
     let off = PdoCobId(number(&on.data)).invalid();
-    let off = ObjectWrite { data: off.0.to_le_bytes().to_vec(), is_default: false, ..on.clone() };
+    let off = ObjectWrite { data: off.0.to_le_bytes().to_vec(), ..on.clone() };
     let stays_off = off.data == on.data;
     writes.push(off);
     if stated.keys().any(|object| object.index == mapping) {
@@ -202,8 +203,7 @@ fn remap(
     Ok(without_effect)
 }
 
-/// The write of `object`: the stated value, else the default, which an unconfigured device has. Every write of a PDO is
-/// made, since the others depend on its state.
+/// The write of `object`: the stated value, else the default, which an unconfigured device has.
 fn take(
     dcf: &Eds,
     node: NodeId,
@@ -218,8 +218,7 @@ fn take(
         let data = value.encode(data_type, node).filter(|_| !flawed)?;
         Some(ObjectWrite { object, data, readable: true, is_default: false, line })
     };
-    let stated = stated.remove(&object).map(|write| ObjectWrite { is_default: false, ..write });
-    let write = stated.or_else(default);
+    let write = stated.remove(&object).or_else(default);
     let right_size = |write: &ObjectWrite| Some(write.data.len()) == data_type.size();
     let error = DownloadError::NoPdoState { line, object };
     write.filter(right_size).ok_or(error)

@@ -56,6 +56,26 @@ pub(super) fn name_of(entry: &Entry, variable: &Variable) -> String {
     printable(&name)
 }
 
+/// Type of the values of a data type; `None` for a type that has no name on the command line.
+pub(super) fn value_type(data_type: DataType) -> Option<Type> {
+    Some(match data_type {
+        DataType::Boolean => Type::Bool,
+        DataType::Integer8 => Type::I8,
+        DataType::Integer16 => Type::I16,
+        DataType::Integer32 => Type::I32,
+        DataType::Integer64 => Type::I64,
+        DataType::Unsigned8 => Type::U8,
+        DataType::Unsigned16 => Type::U16,
+        DataType::Unsigned32 => Type::U32,
+        DataType::Unsigned64 => Type::U64,
+        DataType::Real32 => Type::F32,
+        DataType::Real64 => Type::F64,
+        DataType::VisibleString => Type::String,
+        DataType::OctetString | DataType::Domain => Type::Hex,
+        _ => return None,
+    })
+}
+
 /// The objects of a data sheet with their names.
 fn named(eds: &Eds) -> impl Iterator<Item = (Object, &Variable, String)> {
     eds.variables().map(|(object, variable)| (object, variable, name_of(&eds.objects[&object.index], variable)))
@@ -118,22 +138,7 @@ impl DataSheet {
 
     /// Data type of the object's values; `None` for a type that has no name on the command line.
     pub(super) fn value_type(&self) -> Option<Type> {
-        Some(match self.variable.data_type {
-            DataType::Boolean => Type::Bool,
-            DataType::Integer8 => Type::I8,
-            DataType::Integer16 => Type::I16,
-            DataType::Integer32 => Type::I32,
-            DataType::Integer64 => Type::I64,
-            DataType::Unsigned8 => Type::U8,
-            DataType::Unsigned16 => Type::U16,
-            DataType::Unsigned32 => Type::U32,
-            DataType::Unsigned64 => Type::U64,
-            DataType::Real32 => Type::F32,
-            DataType::Real64 => Type::F64,
-            DataType::VisibleString => Type::String,
-            DataType::OctetString | DataType::Domain => Type::Hex,
-            _ => return None,
-        })
+        value_type(self.variable.data_type)
     }
 
     /// Refuses to read a write-only object.

@@ -105,13 +105,29 @@ impl Target {
         }
     }
 
+    /// The node, and how its objects are transferred.
+    fn peer(&self) -> Peer {
+        Peer { node: self.node, block: self.block, timeout: Duration::from_millis(self.timeout) }
+    }
+}
+
+/// A node, and how its objects are transferred.
+#[derive(Clone, Copy)]
+pub(super) struct Peer {
+    pub(super) node: NodeId,
+    /// By blocks.
+    pub(super) block: bool,
+    /// Time to wait for an answer.
+    pub(super) timeout: Duration,
+}
+
+impl Peer {
     /// Opens the bus or the service port. On a bus, late answers to requests of an earlier process are passed first.
-    fn open(&self, object: Object) -> anyhow::Result<Channel> {
-        let timeout = Duration::from_millis(self.timeout);
-        let mut channel = self.bus.open_channel(timeout)?;
+    pub(super) fn open(&self, bus: &BusArgs, object: Object) -> anyhow::Result<Channel> {
+        let mut channel = bus.open_channel(self.timeout)?;
         if let Channel::Bus(bus) = &mut channel {
             // A node that does not answer the question is reported by the transfer.
-            bus.hold(&mut question(self.node, object, timeout, clock::now())?)?;
+            bus.hold(&mut question(self.node, object, self.timeout, clock::now())?)?;
         }
         Ok(channel)
     }
@@ -119,10 +135,28 @@ impl Target {
     /// Writes `data` into an object of the node, or reads the object if `data` is `None`. The error after Ctrl-C is
     /// [`Interrupted`].
     fn hold(&self, bus: &mut Bus, object: Object, data: Option<&[u8]>) -> anyhow::Result<Client> {
-        let timeout = Duration::from_millis(self.timeout);
-        let mut client = start(self.node, object, data, self.block, timeout, clock::now())?;
+        let mut client = start(self.node, object, data, self.block, self.timeout, clock::now())?;
         bus.hold(&mut client)?;
         Ok(client)
+    }
+
+    /// Value that was read, or empty after a write. A service port does not report the length of an object, so `ty` gives
+    /// it.
+    pub(super) fn transfer(
+        &self,
+        channel: &mut Channel,
+        object: Object,
+        data: Option<&[u8]>,
+        ty: Option<Type>,
+    ) -> anyhow::Result<Result<Vec<u8>, SdoError>> {
+        let bus = match channel {
+            Channel::Bus(bus) => bus,
+            Channel::Drive(_) if self.block => bail!("--block: a service port transfers no blocks"),
+            Channel::Drive(drive) => return drive.transfer(self.node.raw(), object, data, ty),
+        };
+        let mut client = self.hold(bus, object, data)?;
+        let found = client.poll().ok_or(Interrupted)?;
+        Ok(found.map(|found| found.data.to_vec()))
     }
 }
 
@@ -168,9 +202,9 @@ fn read(target: &Target, ty: Option<Type>) -> anyhow::Result<ExitCode> {
     if let Some(sheet) = &sheet {
         sheet.check_read()?;
     }
-    let mut channel = target.open(object)?;
+    let mut channel = target.peer().open(&target.bus, object)?;
     let ty = ty.or_else(|| sheet.as_ref()?.value_type());
-    let data = transfer(&mut channel, target, object, None, ty)?;
+    let data = target.peer().transfer(&mut channel, object, None, ty)?;
     let data = data.map_err(|error| refusal(&channel, target.node, error))?;
     // Device type and vendor decide the meaning of error codes.
     let identification = match object {
@@ -216,7 +250,7 @@ fn identification(channel: &mut Channel, target: &Target) -> anyhow::Result<Iden
 
 /// The value of `object`, device type or vendor-ID; `None` if the node does not give the value.
 fn identity(channel: &mut Channel, target: &Target, object: Object) -> anyhow::Result<Option<u32>> {
-    let answer = transfer(channel, target, object, None, None)?;
+    let answer = target.peer().transfer(channel, object, None, None)?;
     Ok(answer.ok().and_then(|data| value::unsigned(&data)).map(|raw| raw as u32))
 }
 
@@ -231,9 +265,9 @@ fn write(target: &Target, text: &str, ty: Option<Type>, read_back: bool) -> anyh
     // These objects take a signature and show what they can do.
     let is_order = [STORE_ALL, RESTORE_ALL].map(|order| order.index).contains(&object.index);
     let read_back = read_back && !is_order && sheet.as_ref().is_none_or(|sheet| sheet.check_read().is_ok());
-    let mut channel = target.open(object)?;
+    let mut channel = target.peer().open(&target.bus, object)?;
     check_kept(&mut channel, target, object)?;
-    let written = transfer(&mut channel, target, object, Some(&data), Some(ty))?;
+    let written = target.peer().transfer(&mut channel, object, Some(&data), Some(ty))?;
     written.map_err(|error| {
         let value = Shown::of(&data, Some(ty), false);
         refusal(&channel, target.node, error).context(format!("writing {value}"))
@@ -268,31 +302,12 @@ fn read_back_of(
     ty: Type,
 ) -> anyhow::Result<Result<(Vec<u8>, bool), SdoError>> {
     let Channel::Bus(bus) = channel else {
-        let found = transfer(channel, target, object, None, Some(ty))?;
+        let found = target.peer().transfer(channel, object, None, Some(ty))?;
         return Ok(found.map(|found| (found.clone(), found == wrote)));
     };
-    let mut client = target.hold(bus, object, None)?;
+    let mut client = target.peer().hold(bus, object, None)?;
     let found = client.poll().ok_or(Interrupted)?;
     Ok(found.map(|found| (found.data.to_vec(), found.agrees_with(wrote))))
-}
-
-/// Value that was read, or empty after a write. A service port does not report the length of an object, so `ty` gives
-/// it.
-fn transfer(
-    channel: &mut Channel,
-    target: &Target,
-    object: Object,
-    data: Option<&[u8]>,
-    ty: Option<Type>,
-) -> anyhow::Result<Result<Vec<u8>, SdoError>> {
-    let bus = match channel {
-        Channel::Bus(bus) => bus,
-        Channel::Drive(_) if target.block => bail!("--block: a service port transfers no blocks"),
-        Channel::Drive(drive) => return drive.transfer(target.node.raw(), object, data, ty),
-    };
-    let mut client = target.hold(bus, object, data)?;
-    let found = client.poll().ok_or(Interrupted)?;
-    Ok(found.map(|found| found.data.to_vec()))
 }
 
 /// A client that asks for another object than `object`, which every node has. A node answers requests in their order.

@@ -67,7 +67,7 @@ pub(super) fn uncommented(line: &str) -> &str {
 }
 
 /// The name under which a section is known: `[1018SUB01]` is `[1018sub1]`.
-fn known_name(name: &str) -> String {
+pub(super) fn known_name(name: &str) -> String {
     let name = name.to_ascii_lowercase();
     match name.split_once("sub") {
         Some((index, subindex)) if subindex.len() > 1 => {
@@ -78,8 +78,13 @@ fn known_name(name: &str) -> String {
     }
 }
 
+/// Whether a line begins a section, perhaps one whose name cannot be read.
+pub(super) fn is_heading(line: &str) -> bool {
+    (line.starts_with('[') || line.ends_with(']') && !line.contains('=')) && !line.starts_with('#')
+}
+
 /// The name in a heading. A comment may follow the heading.
-fn heading(line: &str) -> Option<&str> {
+pub(super) fn heading(line: &str) -> Option<&str> {
     let (name, rest) = line.strip_prefix('[')?.split_once(']')?;
     let rest = rest.trim_start();
     (rest.is_empty() || rest.starts_with('#')).then(|| name.trim())
@@ -101,8 +106,7 @@ pub(super) fn sections(text: &str) -> Result<(Vec<Section<'_>>, Vec<EdsError>), 
         if line.is_empty() {
             continue;
         }
-        let is_heading = line.starts_with('[') || line.ends_with(']') && !line.contains('=');
-        if is_heading && !line.starts_with('#') {
+        if is_heading(line) {
             let name = heading(line);
             let first = name.and_then(|name| seen.get(&known_name(name)).copied());
             repeated = first.is_some();

@@ -25,6 +25,7 @@
 mod error;
 mod ini;
 mod read;
+mod strip;
 mod value;
 mod write;
 
@@ -33,6 +34,7 @@ use std::collections::BTreeMap;
 use crate::{NodeId, Object};
 
 pub use error::{EdsCause, EdsError, Flaw, FlawedLines, Part};
+pub use strip::{Stripped, strip};
 pub use value::Value;
 
 /// The most variables that a file may describe; a device has some thousands.

@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use super::ini::Text;
+use super::ini::{self, Text};
 use super::{DataType, EdsCause, EdsError};
 use crate::NodeId;
 
@@ -58,6 +58,37 @@ impl Value {
             Self::Text(_) => None,
             Self::Bytes(bytes) => Some(bytes.clone()),
         }
+    }
+
+    /// The value that came over the bus as these bytes; `None` if it has another size than its type, or no line of a file
+    /// can hold it. A device may send four bytes for a shorter number (CiA 301 §7.2.4.3.5), and zeros behind a text.
+    pub fn decode(data_type: DataType, data: &[u8]) -> Option<Self> {
+        let size = data_type.size();
+        let data = match size {
+            Some(size) if data.len() == size || data.len() == 4 && size < 4 => data.get(..size)?,
+            Some(_) => return None,
+            None => data,
+        };
+        let value = match data_type {
+            DataType::Real32 => Self::Real(f64::from(f32::from_le_bytes(data.try_into().ok()?))),
+            DataType::Real64 => Self::Real(f64::from_le_bytes(data.try_into().ok()?)),
+            DataType::OctetString => Self::Bytes(data.to_owned()),
+            DataType::VisibleString => {
+                let end = data.iter().rposition(|byte| *byte != 0).map_or(0, |last| last + 1);
+                Self::Text(data[..end].iter().map(|&byte| char::from(byte)).collect())
+            }
+            _ => {
+                let (low, high) = data_type.range()?;
+                let bits = data.iter().rev().fold(0_i128, |bits, byte| bits << 8 | i128::from(*byte));
+                let value = if low < 0 && bits > high { bits + low - high - 1 } else { bits };
+                Self::number(value)
+            }
+        };
+        // A text may look like a comment or end in a space, and a number may not be finite.
+        let text = value.to_string();
+        let line = ini::uncommented(&text);
+        let read = Self::parse(data_type, Text { line: 0, text: line }).ok().filter(|_| !line.is_empty());
+        read.filter(|read| *read == value && !text.contains(char::is_control))
     }
 
     /// A default or a limit, with the error of its line. A number whose meaning is certain is read in other spellings as
@@ -284,6 +315,31 @@ mod tests {
         }
         for text in ["1", "1G", "é1"] {
             assert_eq!(parse(DataType::OctetString, text), Err(EdsCause::Bytes.at(7)));
+        }
+    }
+
+    #[test]
+    fn values_from_the_bus_are_those_that_a_file_can_hold() {
+        let decode = |data_type, data: &[u8]| Value::decode(data_type, data).map(|value| value.to_string());
+        let table: [(DataType, &[u8], Option<&str>); 15] = [
+            (DataType::Integer8, &[0xFD], Some("-3")),
+            (DataType::Integer16, &[0xFE, 0xFF, 0, 0], Some("-2")),
+            (DataType::Unsigned16, &[1, 2, 3], None),
+            (DataType::Unsigned32, &[1, 2, 3, 4], Some("0x04030201")),
+            (DataType::Unsigned64, &[0xFF; 8], Some("0xffffffffffffffff")),
+            (DataType::Integer64, &[0xFF; 8], Some("-1")),
+            (DataType::Boolean, &[1], Some("1")),
+            (DataType::Boolean, &[0x10], None),
+            (DataType::Real32, &[0, 0, 0xC0, 0x3F], Some("1.5")),
+            (DataType::Real32, &[0, 0, 0x80, 0x7F], None),
+            (DataType::VisibleString, b"EPOS4\0\0", Some("EPOS4")),
+            (DataType::VisibleString, b"two\nlines", None),
+            (DataType::VisibleString, b"a ; b", None),
+            (DataType::OctetString, &[1, 0xAF], Some("01AF")),
+            (DataType::Domain, &[1], None),
+        ];
+        for (data_type, data, text) in table {
+            assert_eq!(decode(data_type, data).as_deref(), text, "{data_type:?} {data:?}");
         }
     }
 
