@@ -82,7 +82,7 @@ fn compared(dcf: &Eds, file: String, reader: &mut Reader, notes: bool) -> anyhow
         let (found, error) = match reader.read(object, ty)? {
             Ok(found) if agrees(variable, &stated, &found) => continue,
             Ok(found) => (Some(Shown::of(&found, ty, false)), None),
-            Err(error) => (None, Some(error.cause.to_string())),
+            Err(error) => (None, Some(error.cause.to_string().trim().to_owned())),
         };
         differences.push(Difference {
             index: object.index,

@@ -99,7 +99,10 @@ fn of_sheet(mut sheet: Eds, reader: &mut Reader) -> anyhow::Result<(Eds, Vec<Abs
             continue;
         }
         let read = reader.read(object, value_type(variable.data_type))?;
-        match read.map_err(|error| error.cause.to_string()).and_then(|data| parameter(variable, &data, node)) {
+        match read
+            .map_err(|error| error.cause.to_string().trim().to_owned())
+            .and_then(|data| parameter(variable, &data, node))
+        {
             Ok(parameter) => {
                 variable.parameter = Some(parameter);
                 variable.refuses_download |=
@@ -195,11 +198,22 @@ impl fmt::Display for Report {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { name, file, values, notes, absent, .. } = self;
         writeln!(f, "{name}: {values} values are in {file}, {notes} of them are notes")?;
-        if !absent.is_empty() {
-            writeln!(f, "{} objects have no value in the file:", absent.len())?;
+        let mut reasons: Vec<(&str, Vec<Object>)> = Vec::new();
+        for Absent { index, subindex, reason } in absent {
+            let object = Object::new(*index, *subindex);
+            match reasons.iter_mut().find(|(known, _)| known == reason) {
+                Some((_, objects)) => objects.push(object),
+                None => reasons.push((reason, vec![object])),
+            }
         }
-        absent.iter().try_for_each(|Absent { index, subindex, reason }| {
-            writeln!(f, "  {}: {reason}", Object::new(*index, *subindex))
-        })
+        for (reason, objects) in reasons {
+            write!(f, "  without a value: {}", objects[0])?;
+            match objects.len() - 1 {
+                0 => {}
+                more => write!(f, " and {more} more, up to {}", objects[more])?,
+            }
+            writeln!(f, ": {reason}")?;
+        }
+        Ok(())
     }
 }
