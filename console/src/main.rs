@@ -109,6 +109,12 @@ enum Command {
         #[command(subcommand)]
         action: service::sdo::Action,
     },
+    /// Device configuration files (DCF, CiA 306) of drives: save the values of a drive, compare a drive with a file, and
+    /// leave out what no drive may be given.
+    Dcf {
+        #[command(subcommand)]
+        action: service::dcf::Action,
+    },
     /// Send an NMT command to one node or to all. Resets and stops switch the power of drives off, and an arm without
     /// brakes falls. Every command except start ends a running cell in a fault.
     Nmt(service::nmt::Options),
@@ -203,6 +209,7 @@ fn answer(command: Command) -> anyhow::Result<ExitCode> {
             service::scan::scan(&options).and_then(|scanned| streams::answer(&scanned, options.json))
         }
         Command::Sdo { action } => service::sdo::sdo(&action),
+        Command::Dcf { action } => service::dcf::dcf(&action),
         Command::Nmt(options) => service::nmt::nmt(&options),
         Command::Lss { action } => service::lss::lss(&action),
         Command::Monitor(options) => service::monitor::monitor(&options),

@@ -27,7 +27,7 @@ pub struct CheckReport {
     io: Vec<CheckedIo>,
     /// Functions that the cell needs and its emulation lacks. Real robots may have them.
     pub problems: Vec<String>,
-    /// Axes that the task overloads by nominal masses or limits.
+    /// Flaws of device configuration files, and axes that the task overloads by nominal masses or limits.
     pub warnings: Vec<String>,
 }
 
@@ -47,6 +47,10 @@ struct CheckedConfiguration {
     axis: String,
     file: String,
     writes: usize,
+    /// Writes of defaults, which are made where the drive holds another value.
+    defaults: usize,
+    /// Read-only values in the file, which are compared with the drive.
+    compared: usize,
     /// Values in the file that are not written.
     left_out: usize,
 }
@@ -79,7 +83,7 @@ pub fn check(file: &CellFile, program: &Program) -> anyhow::Result<CheckReport> 
     let program = &program.clone().with_operator(OperatorLink::new(1).0);
     let buses = budget::check(file)?;
     let rehearsed = rehearsal::rehearse(file, program)?;
-    let warnings = rehearsed.overloads(file)?;
+    let warnings = file.configuration_warnings().chain(rehearsed.overloads(file)?).collect();
     assemble(file, program, &rehearsed)?;
     let robots = file.cell.robot.iter().enumerate().map(|(number, robot)| CheckedRobot {
         name: robot.name.clone(),
@@ -149,6 +153,8 @@ fn configurations(file: &CellFile, robot: usize) -> Vec<CheckedConfiguration> {
             axis: axis.name.clone(),
             file: printable(&configuration.path.display().to_string()),
             writes: configuration.download.writes.len(),
+            defaults: configuration.download.defaults(),
+            compared: configuration.download.compared.len(),
             left_out: configuration.download.left_out,
         })
     });
@@ -168,6 +174,13 @@ impl fmt::Display for CheckReport {
                     "  axis {}: {} asks for {} writes and notes {} values more",
                     configured.axis, configured.file, configured.writes, configured.left_out
                 )?;
+                if configured.defaults > 0 {
+                    let defaults = configured.defaults;
+                    writeln!(f, "    {defaults} writes are of defaults, made where the drive holds another value")?;
+                }
+                if configured.compared > 0 {
+                    writeln!(f, "    {} read-only values are compared with the drive", configured.compared)?;
+                }
             }
         }
         for CheckedIo { name, bus, node, inputs, outputs } in &self.io {

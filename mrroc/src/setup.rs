@@ -45,6 +45,9 @@ pub fn axis_configs(file: &CellFile, bus: usize) -> Vec<AxisConfig> {
         let axis = &file.cell.robot[robot].axis[number];
         let mut config = axis.drive_config(file.arms[robot].robot().home()[number]);
         config.identity = file.identity(robot, number);
+        let limits = file.arms[robot].robot().motor_limits()[number];
+        config.position_range =
+            Some((axis.min_position.unwrap_or(limits.low), axis.max_position.unwrap_or(limits.high)));
         let first = file.configuration(robot, number).map_or_else(Vec::new, DeviceConfiguration::settings);
         // The cell's own parameters prevail, because they are downloaded after those of the file.
         config.configuration.splice(..0, first);

@@ -88,7 +88,8 @@ fn service_commands_reach_an_emulated_drive_over_its_service_port() {
     assert!(second.stdout.ends_with("= 0x0000, 0\n"), "{second:?}");
 
     let port = ports.port("column");
-    ports.refused("sdo write 1 0x6041 --type u16 0", &port, &["node 1", "read-only"]);
+    configurations_are_saved_and_compared(&ports);
+    ports.refused("sdo write 1 0x6041 --type u16 0", &port, &["node 1", "writing 0x0000, 0", "read-only"]);
     ports.refused("sdo read 2 0x6041", &port, &["node 2", "node-ID"]);
     ports.refused("sdo read 1 0x1000 --block", &port, &["--block"]);
     ports.refused("monitor", &port, &["no CAN bus", "mrroc sdo"]);
@@ -101,4 +102,68 @@ fn service_commands_reach_an_emulated_drive_over_its_service_port() {
     let silent = silent.replace("epos4", "epos2");
     ports.refused("nmt start 1 --timeout 500", &silent, &["timed out", "wrong baud rate"]);
     ports.refused("sdo read 1 0x1000 --type u64", &silent, &["segments"]);
+}
+
+/// Saves the values of a drive, changes one, and compares.
+fn configurations_are_saved_and_compared(ports: &Ports) {
+    let eds = kit::mrroc::root().join("cells/epos4-emulated.eds");
+    let eds = eds.display();
+    let path = ports.directory.path("saved.dcf");
+    let saved = path.display();
+    let told = ports.says(&format!("dcf save 1 {saved} --eds {eds}"));
+    assert!(told.starts_with("node 1: ") && told.contains(" of them are notes"), "{told}");
+    let text = std::fs::read_to_string(&path).unwrap();
+    for line in ["NodeID=1\n", "ProductNumber=0x61500000\n", "ParameterValue=EPOS4\n"] {
+        assert!(text.contains(line), "{line}: {text}");
+    }
+    let compared = ports.says(&format!("dcf compare 1 {saved}"));
+    assert!(compared.contains(": 0 of ") && compared.contains(" values differ from "), "{compared}");
+    ports.refused(&format!("dcf save 1 {saved} --eds {eds}"), &ports.port("column"), &["the file is there already"]);
+
+    // By name, and a difference.
+    let port = ports.port("column");
+    let mut words: Vec<String> = ["sdo", "write", "1", "Position window", "1234", "--eds"].map(str::to_owned).to_vec();
+    words.extend([eds.to_string(), "--can".to_owned(), port.clone()]);
+    let wrote = mrroc(&words);
+    assert_eq!(wrote.stdout, "0x6067:00 Position window = 0x000004d2, 1234\n", "{wrote:?}");
+    let differs = ports.run(&format!("dcf compare 1 {saved}"), &port);
+    assert_eq!(differs.status.code(), Some(1), "{differs:?}");
+    let difference = "0x6067:00 Position window: the drive holds 0x000004d2, 1234, line ";
+    assert!(differs.stdout.starts_with(difference), "{differs:?}");
+    assert!(differs.stdout.contains(" of the file states 0xffffffff, 4294967295\n"), "{differs:?}");
+    let json = ports.run(&format!("dcf compare 1 {saved} --json"), &port).json();
+    assert_eq!(json["differences"][0]["index"], 0x6067, "{json}");
+
+    // Without a data sheet, all values are notes.
+    let names = ports.directory.path("names.dcf");
+    let named = ports.run(&format!("dcf save 1 {} --json", names.display()), &port).json();
+    assert!(named["values"].as_u64() > Some(20) && named["values"] == named["notes"], "{named}");
+
+    // A cell accepts what was saved.
+    let cell = ports.directory.cell("irb6", |cell| {
+        cell.robot[0].axis[0].drive.as_mut().unwrap().dcf = Some("saved.dcf".into());
+    });
+    let check = mrroc(["check".as_ref(), cell.as_os_str()]);
+    assert_eq!((check.status.code(), check.stderr.as_str()), (Some(0), ""), "{check:?}");
+    peer_reads(&path);
+}
+
+/// python-canopen reads the saved file.
+fn peer_reads(saved: &std::path::Path) {
+    const SCRIPT: &str = "\
+import sys, canopen
+device = canopen.import_od(sys.argv[1])
+assert device.node_id == 1, device.node_id
+assert device[0x1008].value == 'EPOS4', device[0x1008].value
+assert device[0x6067].value == 0xFFFFFFFF, device[0x6067].value
+assert device[0x1018][1].value == 0xFB, device[0x1018][1].value
+assert device[0x607D][1].data_type == canopen.objectdictionary.INTEGER32
+";
+    let Some(python) =
+        crate::peers::python("epos_service::service_commands_reach_an_emulated_drive_over_its_service_port")
+    else {
+        return;
+    };
+    let read = std::process::Command::new(python).args(["-B", "-c", SCRIPT]).arg(saved).output().unwrap();
+    assert!(read.status.success(), "{}", String::from_utf8_lossy(&read.stderr));
 }

@@ -163,16 +163,22 @@ const REFUSALS: &[Case] = &[
         &["@", "beyond the object's limits 0 to 100"],
     ),
     (
-        "a write to a read-only object",
-        &[("6041", "ParameterValue=0x0637"), VALUE],
-        |_| {},
-        &["@", "0x6041:00 is read-only", "remove its ParameterValue"],
-    ),
-    (
-        "no number of sub-indices",
-        &[("1018", "CompactSubObj=0\nsubnumber=5"), VALUE],
+        "two values of one object",
+        &[("6067", "ParameterValue=1\nParameterValue=2")],
         |_| {},
         &["motor.dcf:", "stands on line", "already"],
+    ),
+    (
+        "a value whose limit has no certain meaning",
+        &[("60C2sub1", "ParameterValue=1\nLowLimit=x")],
+        |_| {},
+        &["motor.dcf:", "this key stands on line"],
+    ),
+    (
+        "a node-ID that no node has",
+        &[("Comments", "[DeviceComissioning]\nNodeID=200\n[More]"), VALUE],
+        |_| {},
+        &["motor.dcf:", "out of range; 1 to 127 fit"],
     ),
     (
         "no value at all",
@@ -280,8 +286,96 @@ fn what_belongs_to_the_driver_is_refused_in_a_dcf_by_line_and_name() {
 }
 
 #[test]
+fn all_that_is_wrong_in_a_dcf_is_told_at_once() {
+    let (text, _) = dcf(&[
+        ("6007", "ParameterValue=0"),
+        ("6067", "ParameterValue=0x100000000"),
+        ("6068", "DownloadFile=window.bin"),
+        ("1600sub0", "ParameterValue=1"),
+        ("1600sub1", "ParameterValue=0x60400010"),
+        // Beyond the count.
+        ("1600sub2", "ParameterValue=0x607A0020"),
+        ("1600sub3", "ParameterValue=0x60FF0020"),
+    ]);
+    let line_of = |value: &str| {
+        let at = text.find(value).unwrap();
+        text[..at].matches('\n').count() + 1
+    };
+    let mapping = ["0x60400010", "0x607A0020", "0x60FF0020"].map(|value| line_of(&format!("ParameterValue={value}")));
+    let others = format!(
+        "0x1600:00 belongs to the driver: the driver maps the process data; remove its ParameterValue, or set bit 0 of its \
+         ObjFlags to keep it as a note; the same holds for 4 further lines: {}, {}, {}, {}",
+        mapping[0],
+        mapping[1],
+        mapping[2],
+        line_of("ParameterValue=0\n"),
+    );
+    let value = format!("{}: out of range; 0 to 4294967295 fit", line_of("ParameterValue=0x100000000"));
+    let file = format!("{}: 0x6068:00 is to be written from a file", line_of("DownloadFile"));
+    let directory = Directory::new();
+    let cell = cell(&directory, &text, |_| {});
+    let check = mrroc(["check".as_ref(), cell.as_os_str()]);
+    refused(&check, &[&others, &value, &file, "`mrroc dcf strip`"]);
+}
+
+#[test]
+fn read_only_values_are_compared_and_defaults_are_written_where_the_drive_differs() {
+    let (text, _) = dcf(&[
+        ("6041", "ParameterValue=0x0637"),
+        ("1008", "ParameterValue=\"EPOS4\""),
+        ("1018sub4", "ParameterValue=0"),
+        // The defaults.
+        ("6067", "ParameterValue=1000"),
+        ("6068", "ParameterValue=7"),
+    ]);
+    let default = |section: &str| {
+        let at = text.find(&format!("[{section}]\n")).unwrap();
+        let rest = text[at..].split("DefaultValue=").nth(1).unwrap();
+        rest.lines().next().unwrap().to_owned()
+    };
+    let text = text.replace("ParameterValue=1000\n", &format!("ParameterValue={}\n", default("6067")));
+    let directory = Directory::new();
+    let cell = cell(&directory, &text, |_| {});
+    let check = mrroc(["check".as_ref(), cell.as_os_str()]);
+    assert_eq!(check.status.code(), Some(0), "{check:?}");
+    for line in [
+        "motor.dcf asks for 2 writes and notes 1 values more",
+        "1 writes are of defaults, made where the drive holds another value",
+        "2 read-only values are compared with the drive",
+    ] {
+        assert!(check.stdout.contains(line), "{line}: {check:?}");
+    }
+    let log = directory.path("run.log");
+    let run = run_in_lockstep(&cell, &log);
+    assert_eq!(run.status.code(), Some(0), "{run:?}");
+    let sdo = sdo(&trace(&log));
+    // Object 0x6067 is read and not written, object 0x6068 is written.
+    let written = |object: &str| sdo.iter().any(|frame| frame.starts_with("601#2") && frame[6..12] == *object);
+    let asked = |object: &str| sdo.iter().any(|frame| frame.starts_with("601#40") && frame[6..12] == *object);
+    assert!(asked("676000") && !written("676000"));
+    assert!(written("686000"));
+    let warning = "axis column: node 1: 2 of 2 read-only values differ from the device configuration file, the first is \
+                   0x1008:00";
+    assert!(run.stdout.contains(warning), "{run:?}");
+}
+
+#[test]
+fn a_flaw_on_which_no_value_depends_is_a_warning() {
+    let (text, line) = dcf(&[("6064", "HighLimit=0x100000000"), VALUE]);
+    let directory = Directory::new();
+    let cell = cell(&directory, &text, |_| {});
+    let log = directory.path("run.log");
+    for run in [run_in_lockstep(&cell, &log), mrroc(["check".as_ref(), cell.as_os_str()])] {
+        assert_eq!(run.status.code(), Some(0), "{run:?}");
+        let warning = format!("motor.dcf:{line}: out of range; -2147483648 to 2147483647 fit; no value depends on it");
+        assert!(run.stderr.contains(&warning), "{run:?}");
+    }
+}
+
+#[test]
 fn a_drive_that_is_not_the_files_is_refused_and_none_is_switched_on() {
     let (text, _) = dcf(&[VALUE]);
+    let listed = text.replacen("[ManufacturerObjects]\n", "[ManufacturerObjects]\n9999=0x2FFF\n", 1);
     let unknown = "\n[2FFF]\nParameterName=none\nDataType=7\nAccessType=rw\nParameterValue=1\n";
     let cases: [(String, Change, &[&str]); 2] = [
         (
@@ -289,7 +383,7 @@ fn a_drive_that_is_not_the_files_is_refused_and_none_is_switched_on() {
             |axis| axis.emulator.revision = Some(0x0168_0000),
             &["bus arm, axis column: node 1: ", "0x1018:03 is 0x01680000", "expects 0x01700000"],
         ),
-        (text + unknown, |_| {}, &["bus arm, axis column: node 1: ", "0x2fff:00 refused", "object does not exist"]),
+        (listed + unknown, |_| {}, &["bus arm, axis column: node 1: ", "0x2fff:00 refused", "object does not exist"]),
     ];
     let directory = Directory::new();
     for (text, change, needles) in cases {

@@ -242,7 +242,7 @@ fn a_refusal_of_an_io_node_names_the_node_and_the_object() {
     let directory = Directory::new();
     let cell = directory.cell("irb6-touch", |cell| cell.io[0].parameter[0].index = 0x2100);
     let run = mrroc(["run".as_ref(), cell.as_os_str(), "--bench=lockstep".as_ref()]);
-    refused(&run, &["bus arm, I/O node tool: node 40: 0x2100:00 refused: ", "object does not exist"]);
+    refused(&run, &["bus arm, I/O node tool: node 40: 0x2100:00 refused 0x", "object does not exist"]);
 }
 
 #[test]

@@ -10,7 +10,7 @@ use canopen::NodeId;
 use canopen::cia402::HomingMethod;
 use canopen::objects::EPOS4_HOMING_CURRENT_THRESHOLD;
 use drive::bus::CanBus;
-use drive::cia402::{AxisConfig, CyclicMode, GroupConfig, HomingConfig, Identity, Setting};
+use drive::cia402::{AxisConfig, CyclicMode, GroupConfig, HomingConfig, Identity, Purpose, Setting};
 use drive::{AxisCommand, AxisState, DriveGroup, Fault, Finite, Homing, Power, Scale, Setpoint};
 use hil::plant::{EndStops, PlantConfig, PlantFault, Switch};
 use hil::{Device, DeviceId, Epos4, Epos4Config, HomingDeviation, Irp6Axis, World};
@@ -84,6 +84,7 @@ impl Rig {
             object: EPOS4_HOMING_CURRENT_THRESHOLD,
             data: STOP_CURRENT.to_le_bytes().to_vec(),
             readable: true,
+            purpose: Purpose::Write,
         };
         let axis = AxisConfig {
             node,
@@ -103,6 +104,7 @@ impl Rig {
             following_error: 2.0,
             quick_stop_deceleration: 1500.0,
             emergency_input: None,
+            position_range: None,
             configuration: (method < 0).then_some(stop_current).into_iter().collect(),
         };
         let group = CanBus::new(port, config, &[axis]).unwrap();

@@ -17,6 +17,7 @@ mod contour;
 mod counter_jumps;
 mod cycle;
 mod datasheet;
+mod dcf;
 mod digital_io;
 mod disturbance;
 mod doctor;

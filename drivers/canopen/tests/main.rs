@@ -2,3 +2,4 @@
 
 mod arbitrary_frames;
 mod data_sheets;
+mod sheets;

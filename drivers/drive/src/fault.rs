@@ -158,6 +158,9 @@ pub enum BringUpError {
     },
     #[error("node {node}: {object} refused: {abort}", abort = AbortCode(*.code))]
     Aborted { node: u8, object: Object, code: u32 },
+    /// The node refused a value of at most four bytes.
+    #[error("node {node}: {object} refused {written:#x}: {abort}", abort = AbortCode(*.code))]
+    WriteRefused { node: u8, object: Object, written: u32, code: u32 },
     #[error("node {node}: {object} reads back {found:#x}, wrote {written:#x}")]
     ReadBack { node: u8, object: Object, written: u32, found: u32 },
     #[error("node {node}: {object} reads back {found} bytes, wrote {written}, the first {same} are equal")]
@@ -203,6 +206,7 @@ impl BringUpError {
             | Self::WrongIdentity { node, .. }
             | Self::WrongScale { node, .. }
             | Self::Aborted { node, .. }
+            | Self::WriteRefused { node, .. }
             | Self::ReadBack { node, .. }
             | Self::ReadBackBytes { node, .. }
             | Self::TimedOut { node, .. }
@@ -227,6 +231,7 @@ impl BringUpError {
             Self::TooFewBlocks { object, .. }
             | Self::WrongScale { object, .. }
             | Self::Aborted { object, .. }
+            | Self::WriteRefused { object, .. }
             | Self::ReadBack { object, .. }
             | Self::ReadBackBytes { object, .. }
             | Self::TimedOut { object, .. } => Some(object),

@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use canopen::Object;
 use canopen::cia402::FaultTable;
 use thiserror::Error;
 
@@ -44,6 +45,31 @@ pub enum WarningCause {
     /// number of these answers.
     #[error("an answer without a SYNC: a frame came twice, or another node sends the same identifier")]
     Surplus,
+    /// The software position limits of the drive (0x607D) lie within the positions of the cell.
+    #[error(
+        "the drive stops its motor at its software position limits {low} and {high} (0x607D), the cell moves it from \
+         {least} to {most} counts: widen the limits, or switch them off"
+    )]
+    SoftwareLimits {
+        /// Lower limit of the drive, counts.
+        low: i32,
+        /// Upper limit of the drive, counts.
+        high: i32,
+        /// Least position of the cell, counts.
+        least: i32,
+        /// Greatest position of the cell, counts.
+        most: i32,
+    },
+    /// Values that can only be read differ from the device configuration file.
+    #[error("{different} of {values} read-only values differ from the device configuration file, the first is {first}")]
+    Compared {
+        /// Number of compared values.
+        values: u32,
+        /// Number of values that differ.
+        different: u32,
+        /// The first object that differs.
+        first: Object,
+    },
 }
 
 impl WarningCause {
@@ -51,7 +77,7 @@ impl WarningCause {
     pub fn emergency(&self) -> Option<(u16, u8)> {
         match *self {
             Self::Emergency { code, register, .. } => Some((code, register)),
-            Self::Late { .. } | Self::Surplus => None,
+            Self::Late { .. } | Self::Surplus | Self::SoftwareLimits { .. } | Self::Compared { .. } => None,
         }
     }
 
@@ -62,8 +88,17 @@ impl WarningCause {
                 (code, register) == (other, also)
             }
             (Self::Late { periods, .. }, Self::Late { periods: other, .. }) => periods == other,
-            (Self::Surplus, Self::Surplus) => true,
-            (Self::Emergency { .. } | Self::Late { .. } | Self::Surplus, _) => false,
+            (Self::Surplus, Self::Surplus)
+            | (Self::SoftwareLimits { .. }, Self::SoftwareLimits { .. })
+            | (Self::Compared { .. }, Self::Compared { .. }) => true,
+            (
+                Self::Emergency { .. }
+                | Self::Late { .. }
+                | Self::Surplus
+                | Self::SoftwareLimits { .. }
+                | Self::Compared { .. },
+                _,
+            ) => false,
         }
     }
 }

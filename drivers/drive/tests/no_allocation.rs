@@ -183,6 +183,7 @@ fn axis(raw: u8) -> AxisConfig {
         following_error: TAU,
         quick_stop_deceleration: TAU,
         emergency_input: (raw == 1).then_some(16),
+        position_range: None,
         configuration: Vec::new(),
     }
 }

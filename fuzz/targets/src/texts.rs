@@ -25,7 +25,10 @@ pub fn eds(data: &[u8]) {
             for node in [NodeId::new(1).unwrap(), NodeId::MAX] {
                 match dcf::download(&eds, node) {
                     Ok(_) => {}
-                    Err(error) => assert!(!error.to_string().is_empty()),
+                    Err(refusal) => {
+                        assert!(!refusal.errors.is_empty());
+                        assert!(refusal.errors.iter().all(|error| !error.to_string().is_empty()));
+                    }
                 }
             }
         }

@@ -1,20 +1,23 @@
 //! The device configuration file (DCF of CiA 306) of an axis, checked against the cell.
 
 use std::collections::BTreeMap;
+use std::fmt;
 use std::path::PathBuf;
 
 use anyhow::{Context, anyhow};
-use canopen::dcf::{self, Download};
+use canopen::dcf::{self, Download, ObjectWrite};
+use canopen::eds::{Eds, FlawedLines};
 use canopen::objects::{PRODUCT_CODE, REVISION, VENDOR_ID};
-use canopen::{NodeId, Object, eds::Eds};
-use drive::cia402::{Setting, reserved};
+use canopen::{NodeId, Object};
+use drive::cia402::{Purpose, Reserved, Setting, reserved};
 use master::sdo::CAPACITY;
 
-use super::{CellFile, Path};
+use super::{CellFile, Path, printable};
 use crate::input;
 
-/// Greatest number of values written to a drive before operation. Each value takes two exchanges of some milliseconds.
-const MOST_WRITES: usize = 4096;
+/// Greatest number of values written to a drive, or compared, before operation. Each value takes two exchanges of some
+/// milliseconds.
+const MOST_VALUES: usize = 4096;
 
 /// Content of a device configuration file, and the drive it is for.
 #[derive(Clone)]
@@ -23,6 +26,8 @@ pub struct DeviceConfiguration {
     pub product: Option<u32>,
     pub revision: Option<u32>,
     pub download: Download,
+    /// Lines that are not as CiA 306 has them. No value depends on them.
+    pub flaws: Vec<FlawedLines>,
 }
 
 impl DeviceConfiguration {
@@ -36,7 +41,6 @@ impl DeviceConfiguration {
         let path = file.path.parent().unwrap_or(&file.path).join(name);
         let shown = path.display();
         let refuse = |problem: String| Err(file.refuse(&key, format_args!("{shown} {problem}")));
-        let at_line = |(line, problem): (u32, String)| anyhow!("{shown}:{line}: {problem}");
         let what = "a device configuration file of the cell";
         let bytes = file.inputs().read_of_cell(what, &path, input::SHEET);
         let bytes = bytes.map_err(|error| file.refuse(&key, format_args!("{shown}: {error}")))?;
@@ -65,67 +69,139 @@ impl DeviceConfiguration {
         }
 
         let node = NodeId::new(axis.node).context("a parsed cell has valid node-IDs")?;
-        let download = dcf::download(&dcf, node).map_err(|error| anyhow!("{shown}:{error}"))?;
-        if download.writes.is_empty() {
+        let Checked { download, mut lines } = Checked::of(&dcf, node, drive.vendor);
+        lines.extend(check_scale(&download, drive.counts_per_revolution));
+        if let Some(refusal) = refusal(&lines) {
+            return Err(anyhow!("{shown}:{refusal}"));
+        }
+        if download.writes.is_empty() && download.compared.is_empty() {
             return refuse("asks for no write: it has no ParameterValue".to_owned());
         }
-        check_reserved(&download, drive.vendor).map_err(at_line)?;
-        if download.writes.len() > MOST_WRITES {
-            let writes = download.writes.len();
-            return refuse(format!("asks for {writes} writes, more than the {MOST_WRITES} that a drive may be given"));
+        let values = download.writes.len() + download.compared.len();
+        if values > MOST_VALUES {
+            return refuse(format!("has {values} values, more than the {MOST_VALUES} that a drive may be given"));
         }
-        for write in &download.writes {
-            let (line, object, size) = (write.line, write.object, write.data.len());
-            if size > CAPACITY {
-                let problem = format!("{object} takes {size} bytes, at most {CAPACITY} are transferred");
-                return Err(at_line((line, problem)));
-            }
-        }
-        check_scale(&download, drive.counts_per_revolution).map_err(at_line)?;
         Ok(Some(Self {
             product: dcf.identity(PRODUCT_CODE.subindex),
             revision: dcf.identity(REVISION.subindex),
             path,
             download,
+            flaws: dcf.flawed_lines(),
         }))
     }
 
-    /// The writes, for the drive group.
+    /// The values, for the drive group. The comparisons come first: a write may change a value that can only be read.
     pub fn settings(&self) -> Vec<Setting> {
-        let setting = |write: &dcf::ObjectWrite| Setting {
+        let setting = |write: &ObjectWrite, purpose| Setting {
             object: write.object,
             data: write.data.clone(),
             readable: write.readable,
+            purpose,
         };
-        self.download.writes.iter().map(setting).collect()
+        let written = |write: &ObjectWrite| match write.is_default && write.readable {
+            true => setting(write, Purpose::WriteIfDifferent),
+            false => setting(write, Purpose::Write),
+        };
+        let compared = self.download.compared.iter().map(|write| setting(write, Purpose::Compare));
+        compared.chain(self.download.writes.iter().map(written)).collect()
+    }
+
+    /// The flaws of the file, each kind in one line.
+    pub fn warnings(&self) -> impl Iterator<Item = String> {
+        let shown = printable(&self.path.display().to_string());
+        self.flaws.iter().map(move |flaws| format!("{shown}:{flaws}; no value depends on it"))
     }
 }
 
-/// Refuses values for objects that belong to the driver. The error gives the first such line and its object, and the
-/// other lines.
-fn check_reserved(download: &Download, vendor: u32) -> Result<(), (u32, String)> {
-    // One line of a PDO causes several writes, of which the map keeps the first.
-    let found = download.writes.iter().rev().filter_map(|write| {
-        let Object { index, subindex } = write.object;
-        Some((write.line, reserved(vendor, index, subindex)?))
-    });
-    let mut found = found.collect::<BTreeMap<_, _>>().into_iter();
-    let Some((line, first)) = found.next() else {
-        return Ok(());
-    };
-    let mut problem = format!("{first}; remove its ParameterValue, or set bit 0 of its ObjFlags to keep it as a note");
-    let others: Vec<_> = found.map(|(line, _)| line.to_string()).collect();
-    if !others.is_empty() {
-        let (count, lines) = (others.len(), others.join(", "));
-        problem += &format!("; the same holds for {count} further lines: {lines}");
+/// The values of a device configuration file, and the lines that no drive may be given.
+pub struct Checked {
+    /// The values that a drive may be given.
+    pub download: Download,
+    /// Why the others are refused, by line.
+    pub lines: BTreeMap<u32, Refused>,
+}
+
+/// Why a line of a device configuration file is refused.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Refused {
+    /// Its object belongs to the driver.
+    Reserved(Reserved),
+    /// Another reason, in words.
+    Other(String),
+}
+
+impl fmt::Display for Refused {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Reserved(reserved) => reserved.fmt(f),
+            Self::Other(problem) => f.write_str(problem),
+        }
     }
-    Err((line, problem))
+}
+
+impl Checked {
+    /// Checks the values of `dcf` for a drive of `vendor` with the node-ID `node`, in all its lines.
+    pub fn of(dcf: &Eds, node: NodeId, vendor: u32) -> Self {
+        let (mut download, errors) = match dcf::download(dcf, node) {
+            Ok(download) => (download, Vec::new()),
+            Err(refusal) => (refusal.rest, refusal.errors),
+        };
+        let read = download.compared.len();
+        download.compared.retain(|read| read.data.len() <= CAPACITY);
+        download.left_out += read - download.compared.len();
+        let mut lines = BTreeMap::new();
+        for error in errors {
+            let problem = error.to_string();
+            let (_, problem) = problem.split_once(": ").unwrap_or(("", &problem));
+            lines.entry(error.line()).or_insert(Refused::Other(problem.to_owned()));
+        }
+        for write in download.writes.iter().filter(|write| write.data.len() > CAPACITY) {
+            let (object, size) = (write.object, write.data.len());
+            let problem = format!("{object} takes {size} bytes, at most {CAPACITY} are transferred");
+            lines.entry(write.line).or_insert(Refused::Other(problem));
+        }
+        for &(line, Object { index, subindex }) in &download.lines {
+            if let Some(reserved) = reserved(vendor, index, subindex) {
+                lines.insert(line, Refused::Reserved(reserved));
+            }
+        }
+        Self { download, lines }
+    }
+}
+
+/// All refused lines as one text that begins with a line; `None` if there is none. The lines of objects that belong to
+/// the driver are told once.
+fn refusal(lines: &BTreeMap<u32, Refused>) -> Option<String> {
+    let mut others = lines.iter().filter(|(_, refused)| matches!(refused, Refused::Reserved(_))).skip(1);
+    let others: Vec<_> = others.by_ref().map(|(line, _)| line.to_string()).collect();
+    let (mut told, mut first_reserved) = (Vec::new(), true);
+    for (line, refused) in lines {
+        match refused {
+            Refused::Other(problem) => told.push(format!("{line}: {problem}")),
+            Refused::Reserved(_) if !first_reserved => {}
+            Refused::Reserved(reserved) => {
+                first_reserved = false;
+                let mut problem = format!(
+                    "{line}: {reserved}; remove its ParameterValue, or set bit 0 of its ObjFlags to keep it as a note"
+                );
+                if !others.is_empty() {
+                    let (count, lines) = (others.len(), others.join(", "));
+                    problem += &format!("; the same holds for {count} further lines: {lines}");
+                }
+                told.push(problem);
+            }
+        }
+    }
+    if lines.len() > 1 {
+        told.push("`mrroc dcf strip` writes the file without these lines".to_owned());
+    }
+    (!told.is_empty()).then(|| told.join("; "))
 }
 
 /// Checks that a written scale counts at the motor shaft, like the cell. The scale is given by the gear ratio (0x6091)
 /// and the feed constant (0x6092), or by the encoder (0x608F) where no feed constant is written. Each object is a
-/// ratio of its sub-indices 1 and 2. The error gives the line and the problem.
-fn check_scale(download: &Download, counts: u32) -> Result<(), (u32, String)> {
+/// ratio of its sub-indices 1 and 2. Returns the line and the problem.
+fn check_scale(download: &Download, counts: u32) -> Option<(u32, Refused)> {
     let ratio = |index: u16| {
         let written = |subindex: u8| {
             let write = download.writes.iter().find(|it| it.object.index == index && it.object.subindex == subindex)?;
@@ -148,8 +224,9 @@ fn check_scale(download: &Download, counts: u32) -> Result<(), (u32, String)> {
         };
         if u64::from(above) != u64::from(expected) * u64::from(below) {
             let ratio = if below == 1 { above.to_string() } else { format!("{above}/{below}") };
-            return Err((line, format!("{index:#06x} sets {ratio} {what}, the cell says {expected}")));
+            let problem = format!("{index:#06x} sets {ratio} {what}, the cell says {expected}");
+            return Some((line, Refused::Other(problem)));
         }
     }
-    Ok(())
+    None
 }

@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use drive::Scale;
 use drive::axis_controller::{self, Settings, StopBits};
-use drive::cia402::{AxisConfig, CyclicMode, GroupConfig, HomingConfig, Identity, NodeId, Setting};
+use drive::cia402::{AxisConfig, CyclicMode, GroupConfig, HomingConfig, Identity, NodeId, Purpose, Setting};
 use servo::{FeedForward, FrozenWatch, HomingLeg, HostHoming, HostLoop, Output, PositionLoop, ServoAxisConfig};
 
 use super::{
@@ -101,7 +101,7 @@ impl Serial {
 impl Parameter {
     pub(super) fn setting(&self) -> Setting {
         let data = self.value.to_le_bytes().into_iter().take(self.bytes.into()).collect();
-        Setting { object: Object::new(self.index, self.subindex), data, readable: true }
+        Setting { object: Object::new(self.index, self.subindex), data, readable: true, purpose: Purpose::Write }
     }
 }
 
@@ -182,6 +182,7 @@ impl Axis {
             following_error: self.following_error,
             quick_stop_deceleration: self.max_acceleration,
             emergency_input: drive.emergency_stop.as_ref().map(|contact| contact.input),
+            position_range: None,
             configuration: drive.parameter.iter().map(Parameter::setting).collect(),
         }
     }

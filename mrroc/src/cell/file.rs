@@ -63,10 +63,19 @@ impl CellFile {
         let arms = arms.expect("a parsed cell has sound parameters");
         let mut file =
             Self { path: path.to_owned(), text, cell, arms, configurations: Vec::new(), descriptions, inputs };
+        let mut refusals = Vec::new();
         for robot in 0..file.cell.robot.len() {
             let axes = 0..file.cell.robot[robot].axis.len();
-            let read = axes.map(|axis| DeviceConfiguration::read(&file, robot, axis)).collect::<anyhow::Result<_>>()?;
-            file.configurations.push(read);
+            let read = axes.map(|axis| DeviceConfiguration::read(&file, robot, axis));
+            let (read, failed): (Vec<_>, Vec<_>) = read.partition(Result::is_ok);
+            refusals.extend(failed.into_iter().filter_map(Result::err));
+            file.configurations.push(read.into_iter().flatten().collect());
+        }
+        // The files of all axes are told at once.
+        match refusals.as_slice() {
+            [] => {}
+            [_] => return Err(refusals.remove(0)),
+            several => bail!("{}", several.iter().map(ToString::to_string).collect::<Vec<_>>().join("; ")),
         }
         Ok(file)
     }
@@ -89,6 +98,11 @@ impl CellFile {
     /// The device configuration of axis `axis` of robot `robot`, if it has one.
     pub fn configuration(&self, robot: usize, axis: usize) -> Option<&DeviceConfiguration> {
         self.configurations[robot][axis].as_ref()
+    }
+
+    /// Flaws of the device configuration files on which no value depends.
+    pub fn configuration_warnings(&self) -> impl Iterator<Item = String> {
+        self.configurations.iter().flatten().flatten().flat_map(DeviceConfiguration::warnings)
     }
 
     /// The files that the cell names: robot descriptions, and the device configuration files of all axes that have one.

@@ -52,6 +52,7 @@ pub use chain::{
 };
 pub use conveyor::{EmulatedConveyor, EmulatedGate, EmulatedObject};
 pub(crate) use device_configuration::DeviceConfiguration;
+pub use device_configuration::{Checked, Refused};
 pub use drive::axis_controller::{Control, Protocol};
 pub use drives::ENABLING;
 pub use emergency_contact::EmergencyContact;

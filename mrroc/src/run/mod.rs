@@ -148,6 +148,7 @@ pub fn run(
         set.map_err(|_| anyhow!("--speed is a percentage, at least {LEAST_SPEED} and at most 100, not {percent}"))?;
     }
     let rehearsed = rehearsal::rehearse(file, program)?;
+    file.configuration_warnings().for_each(|warning| streams::warn(format_args!("mrroc: {warning}")));
     // Payloads and surroundings of the cell file are those of emulated robots.
     if matches!(options.bench, BenchKind::Lockstep | BenchKind::Emulated) {
         rehearsed.overloads(file)?.iter().for_each(|warning| streams::warn(format_args!("mrroc: {warning}")));

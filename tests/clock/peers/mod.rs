@@ -51,7 +51,7 @@ mod timing;
 const PATIENCE: &str = "90";
 
 /// The Python interpreter with the packages; `None` if it is missing and `test` may be left out.
-fn python(test: &str) -> Option<PathBuf> {
+pub(crate) fn python(test: &str) -> Option<PathBuf> {
     let python = mrroc::root().join("target/peers/bin/python");
     if python.exists() {
         return Some(python);

@@ -1,4 +1,5 @@
-//! The service commands: search for nodes, access to objects, NMT commands, LSS and a monitor.
+//! The service commands: search for nodes, access to objects, device configuration files, NMT commands, LSS and a
+//! monitor.
 //!
 //! The protocol of a command is a `Conversation`, a function of (state, frame, now). The tests run conversations with
 //! emulated drives in virtual time; [`talk`] runs them on the wall clock.
@@ -9,6 +10,7 @@
 #![expect(clippy::disallowed_methods, reason = "the rim: reads clocks and waits")]
 
 pub mod data_sheet;
+pub mod dcf;
 pub mod decode;
 pub mod epos;
 pub mod lss;

@@ -233,7 +233,8 @@ fn set_node_id(slave: &Slave, node: Option<NodeId>, store: bool) -> anyhow::Resu
         (None, _) => format!("node-ID taken away{stored}, from the next reset of communication on"),
         (Some(node), true) => format!("node {node}: configured{stored}, and booted"),
         (Some(node), false) => format!(
-            "node {node}: configured{stored}; a node that had another node-ID takes it at its next reset of communication"
+            "node {node}: configured{stored}; a node that had another node-ID takes it at its next reset of communication \
+             (`mrroc nmt reset-communication`), and boots as node {node}"
         ),
     })?;
     Ok(ExitCode::SUCCESS)

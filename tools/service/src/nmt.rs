@@ -129,6 +129,9 @@ pub(super) struct NodeReport {
     pub(super) heard: Vec<(NodeId, NmtState)>,
     /// The addressed node, if it reported no NMT state, with its heartbeat period as read by SDO, ms.
     pub(super) silent: Option<(NodeId, Option<Result<u16, SdoError>>)>,
+    /// The other nodes that booted after the reset of a node that did not. A node takes a new node-ID at its reset
+    /// (CiA 305), and boots under it.
+    pub(super) booted: Vec<NodeId>,
 }
 
 impl Told {
@@ -183,7 +186,10 @@ impl Told {
             Target::Node(node) if heard.is_empty() => Some((node, self.answer)),
             Target::Node(_) | Target::All => None,
         };
-        NodeReport { wanted: self.wanted, heard, silent }
+        let is_reset = self.wanted == NmtState::Initialising && silent.is_some();
+        let booted = |node: &NodeId| self.heard[usize::from(node.raw())] == Some(NmtState::Initialising);
+        let booted = NodeId::all().filter(|_| is_reset).filter(booted).collect();
+        NodeReport { wanted: self.wanted, heard, silent, booted }
     }
 }
 
@@ -234,6 +240,7 @@ impl NodeReport {
     /// heartbeat that answers SDO is not stopped. Its answer confirms `Start` and `PreOperational`, but not `Stop`.
     pub(super) fn confirmed(&self) -> bool {
         match self.silent {
+            Some(_) if self.booted.len() == 1 => true,
             Some((_, Some(Ok(0)))) => self.wanted != NmtState::Stopped,
             Some(_) => false,
             None => !self.heard.is_empty() && self.heard.iter().all(|(_, state)| *state == self.wanted),
@@ -251,7 +258,14 @@ impl NodeReport {
         };
         let mut lines: Vec<_> = self.heard.iter().map(said).collect();
         if let Some((node, answer)) = &self.silent {
+            let others: Vec<_> = self.booted.iter().map(NodeId::to_string).collect();
             let what: &str = match (answer, self.wanted) {
+                (_, NmtState::Initialising) if self.booted.len() == 1 => {
+                    &format!("told, and booted as node {}, its new node-ID", others[0])
+                }
+                (_, NmtState::Initialising) if !others.is_empty() => {
+                    &format!("told, and did not boot; the nodes {} booted", others.join(", "))
+                }
                 (_, NmtState::Initialising) => "told, and did not boot",
                 (Some(Ok(0)), NmtState::Stopped) => "told, and still answers SDO, so it did not stop",
                 (Some(Ok(0)), _) => "told; it sends no heartbeat (0x1017 is 0 or missing), and is not stopped",

@@ -1,5 +1,6 @@
 //! `mrroc sdo`: reads or writes one object of one node.
 
+use std::convert::Infallible;
 use std::fmt;
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -14,10 +15,11 @@ use clap::{Args, Subcommand};
 use drive::cia402::reserved;
 use master::sdo::{Client, SdoCause, SdoError, StartError};
 use mrroc::bench::interfaces::Interface;
+use mrroc::cell::printable;
 use mrroc::streams;
 use serde::Serialize;
 
-use super::data_sheet::DataSheet;
+use super::data_sheet::{DataSheet, Selector};
 use super::talk::Conversation;
 use super::value::{self, Shown, Type};
 use super::words::{self, Identification};
@@ -68,9 +70,10 @@ pub struct Target {
     #[arg(value_parser = node_id)]
     node: NodeId,
     /// The object, such as 0x6041:0 or 6041:0. Index and sub-index are hexadecimal, with or without 0x. An index
-    /// without 0x has four digits. The default sub-index is 0.
-    #[arg(value_name = "INDEX:SUB", value_parser = object)]
-    object: Object,
+    /// without 0x has four digits. The default sub-index is 0. With --eds also the name of the object in the data sheet,
+    /// such as "Statusword" or "Software position limit: Min position limit".
+    #[arg(value_name = "INDEX:SUB", value_parser = selector)]
+    object: Selector,
     /// The data sheet (EDS or DCF) of the device. The data sheet supplies names and types. An access that the data
     /// sheet does not allow is refused.
     #[arg(long, value_name = "FILE")]
@@ -88,13 +91,43 @@ pub struct Target {
 }
 
 impl Target {
+    /// The object and its entry in the data sheet, if a data sheet is given.
+    fn resolve(&self) -> anyhow::Result<(Object, Option<DataSheet>)> {
+        match (&self.eds, &self.object) {
+            (Some(path), selected) => {
+                let sheet = DataSheet::read(path, selected)?;
+                Ok((sheet.object, Some(sheet)))
+            }
+            (None, Selector::Address(object)) => Ok((*object, None)),
+            (None, Selector::Name(name)) => {
+                bail!("{}: {NOTATION}; a name needs --eds", printable(name))
+            }
+        }
+    }
+
+    /// The node, and how its objects are transferred.
+    fn peer(&self) -> Peer {
+        Peer { node: self.node, block: self.block, timeout: Duration::from_millis(self.timeout) }
+    }
+}
+
+/// A node, and how its objects are transferred.
+#[derive(Clone, Copy)]
+pub(super) struct Peer {
+    pub(super) node: NodeId,
+    /// By blocks.
+    pub(super) block: bool,
+    /// Time to wait for an answer.
+    pub(super) timeout: Duration,
+}
+
+impl Peer {
     /// Opens the bus or the service port. On a bus, late answers to requests of an earlier process are passed first.
-    fn open(&self) -> anyhow::Result<Channel> {
-        let timeout = Duration::from_millis(self.timeout);
-        let mut channel = self.bus.open_channel(timeout)?;
+    pub(super) fn open(&self, bus: &BusArgs, object: Object) -> anyhow::Result<Channel> {
+        let mut channel = bus.open_channel(self.timeout)?;
         if let Channel::Bus(bus) = &mut channel {
             // A node that does not answer the question is reported by the transfer.
-            bus.hold(&mut question(self.node, self.object, timeout, clock::now())?)?;
+            bus.hold(&mut question(self.node, object, self.timeout, clock::now())?)?;
         }
         Ok(channel)
     }
@@ -102,28 +135,49 @@ impl Target {
     /// Writes `data` into an object of the node, or reads the object if `data` is `None`. The error after Ctrl-C is
     /// [`Interrupted`].
     fn hold(&self, bus: &mut Bus, object: Object, data: Option<&[u8]>) -> anyhow::Result<Client> {
-        let timeout = Duration::from_millis(self.timeout);
-        let mut client = start(self.node, object, data, self.block, timeout, clock::now())?;
+        let mut client = start(self.node, object, data, self.block, self.timeout, clock::now())?;
         bus.hold(&mut client)?;
         Ok(client)
     }
 
-    fn data_sheet(&self) -> anyhow::Result<Option<DataSheet>> {
-        self.eds.as_deref().map(|path| DataSheet::read(path, self.object)).transpose()
+    /// Value that was read, or empty after a write. A service port does not report the length of an object, so `ty` gives
+    /// it.
+    pub(super) fn transfer(
+        &self,
+        channel: &mut Channel,
+        object: Object,
+        data: Option<&[u8]>,
+        ty: Option<Type>,
+    ) -> anyhow::Result<Result<Vec<u8>, SdoError>> {
+        let bus = match channel {
+            Channel::Bus(bus) => bus,
+            Channel::Drive(_) if self.block => bail!("--block: a service port transfers no blocks"),
+            Channel::Drive(drive) => return drive.transfer(self.node.raw(), object, data, ty),
+        };
+        let mut client = self.hold(bus, object, data)?;
+        let found = client.poll().ok_or(Interrupted)?;
+        Ok(found.map(|found| found.data.to_vec()))
     }
 }
 
-/// Parses an object on the command line.
-fn object(text: &str) -> Result<Object, String> {
-    const NOTATION: &str =
-        "an object is INDEX:SUB in hexadecimal, such as 0x6041:0, or 6041:0 with all four digits of the index";
+/// How an object is written on the command line.
+pub(super) const NOTATION: &str =
+    "an object is INDEX:SUB in hexadecimal, such as 0x6041:0, or 6041:0 with all four digits of the index";
+
+/// Parses an object on the command line: an address, else a name.
+fn selector(text: &str) -> Result<Selector, Infallible> {
+    Ok(object(text).map_or_else(|_| Selector::Name(text.to_owned()), Selector::Address))
+}
+
+/// Parses an address.
+fn object(text: &str) -> Result<Object, &'static str> {
     let (index, subindex) = text.split_once(':').unwrap_or((text, "0"));
     let marked = index.starts_with("0x") || index.starts_with("0X");
     let index = hexadecimal(index, 4).filter(|_| marked || index.len() == 4);
     let subindex = hexadecimal(subindex, 2).map(|subindex| subindex as u8);
     match (index, subindex) {
         (Some(index), Some(subindex)) => Ok(Object::new(index, subindex)),
-        _ => Err(NOTATION.to_owned()),
+        _ => Err(NOTATION),
     }
 }
 
@@ -144,24 +198,24 @@ pub fn sdo(action: &Action) -> anyhow::Result<ExitCode> {
 }
 
 fn read(target: &Target, ty: Option<Type>) -> anyhow::Result<ExitCode> {
-    let sheet = target.data_sheet()?;
+    let (object, sheet) = target.resolve()?;
     if let Some(sheet) = &sheet {
         sheet.check_read()?;
     }
-    let mut channel = target.open()?;
+    let mut channel = target.peer().open(&target.bus, object)?;
     let ty = ty.or_else(|| sheet.as_ref()?.value_type());
-    let data = transfer(&mut channel, target, target.object, None, ty)?;
-    let data = data.map_err(|error| refusal(&channel, target, error))?;
+    let data = target.peer().transfer(&mut channel, object, None, ty)?;
+    let data = data.map_err(|error| refusal(&channel, target.node, error))?;
     // Device type and vendor decide the meaning of error codes.
-    let identification = match target.object {
+    let identification = match object {
         ERROR_CODE | ERROR_HISTORY_NEWEST => identification(&mut channel, target)?,
         _ => Identification::default(),
     };
-    show(target, &data, ty, sheet.as_ref(), identification)
+    show(target, object, &data, ty, sheet.as_ref(), identification)
 }
 
 /// Refuses an object that belongs to the driver while a controller is at work, which would not notice the change.
-fn check_kept(channel: &mut Channel, target: &Target) -> anyhow::Result<()> {
+fn check_kept(channel: &mut Channel, target: &Target, object: Object) -> anyhow::Result<()> {
     let controller = match channel {
         Channel::Bus(bus) => bus.interface.controller()?,
         Channel::Drive(drive) => drive.cell.as_ref().and_then(|(file, bus)| {
@@ -173,7 +227,7 @@ fn check_kept(channel: &mut Channel, target: &Target) -> anyhow::Result<()> {
     let Some(holder) = controller else {
         return Ok(());
     };
-    let Object { index, subindex } = target.object;
+    let Object { index, subindex } = object;
     let kept = match reserved(0, index, subindex) {
         None => identity(channel, target, VENDOR_ID)?.and_then(|vendor| reserved(vendor, index, subindex)),
         kept => kept,
@@ -196,32 +250,34 @@ fn identification(channel: &mut Channel, target: &Target) -> anyhow::Result<Iden
 
 /// The value of `object`, device type or vendor-ID; `None` if the node does not give the value.
 fn identity(channel: &mut Channel, target: &Target, object: Object) -> anyhow::Result<Option<u32>> {
-    let answer = transfer(channel, target, object, None, None)?;
+    let answer = target.peer().transfer(channel, object, None, None)?;
     Ok(answer.ok().and_then(|data| value::unsigned(&data)).map(|raw| raw as u32))
 }
 
 fn write(target: &Target, text: &str, ty: Option<Type>, read_back: bool) -> anyhow::Result<ExitCode> {
-    let sheet = target.data_sheet()?;
+    let (object, sheet) = target.resolve()?;
     let ty = ty.or_else(|| sheet.as_ref()?.value_type());
-    let ty = ty.with_context(|| format!("{}: say its --type, such as hex", target.object))?;
+    let ty = ty.with_context(|| format!("{object}: say its --type, such as hex"))?;
     let data = ty.encode(text)?;
     if let Some(sheet) = &sheet {
         sheet.check_write(target.node, &data)?;
     }
     // These objects take a signature and show what they can do.
-    let is_order = [STORE_ALL, RESTORE_ALL].map(|order| order.index).contains(&target.object.index);
+    let is_order = [STORE_ALL, RESTORE_ALL].map(|order| order.index).contains(&object.index);
     let read_back = read_back && !is_order && sheet.as_ref().is_none_or(|sheet| sheet.check_read().is_ok());
-    let mut channel = target.open()?;
-    check_kept(&mut channel, target)?;
-    let written = transfer(&mut channel, target, target.object, Some(&data), Some(ty))?;
-    written.map_err(|error| refusal(&channel, target, error))?;
+    let mut channel = target.peer().open(&target.bus, object)?;
+    check_kept(&mut channel, target, object)?;
+    let written = target.peer().transfer(&mut channel, object, Some(&data), Some(ty))?;
+    written.map_err(|error| {
+        let value = Shown::of(&data, Some(ty), false);
+        refusal(&channel, target.node, error).context(format!("writing {value}"))
+    })?;
     if !read_back {
         return Ok(ExitCode::SUCCESS);
     }
-    let object = target.object;
-    let (problem, code) = match read_back_of(&mut channel, target, &data, ty)? {
+    let (problem, code) = match read_back_of(&mut channel, target, object, &data, ty)? {
         Ok((found, agrees)) => {
-            let shown = show(target, &found, Some(ty), sheet.as_ref(), Identification::default())?;
+            let shown = show(target, object, &found, Some(ty), sheet.as_ref(), Identification::default())?;
             if agrees {
                 return Ok(shown);
             }
@@ -241,36 +297,17 @@ fn write(target: &Target, text: &str, ty: Option<Type>, read_back: bool) -> anyh
 fn read_back_of(
     channel: &mut Channel,
     target: &Target,
+    object: Object,
     wrote: &[u8],
     ty: Type,
 ) -> anyhow::Result<Result<(Vec<u8>, bool), SdoError>> {
-    let object = target.object;
     let Channel::Bus(bus) = channel else {
-        let found = transfer(channel, target, object, None, Some(ty))?;
+        let found = target.peer().transfer(channel, object, None, Some(ty))?;
         return Ok(found.map(|found| (found.clone(), found == wrote)));
     };
-    let mut client = target.hold(bus, object, None)?;
+    let mut client = target.peer().hold(bus, object, None)?;
     let found = client.poll().ok_or(Interrupted)?;
     Ok(found.map(|found| (found.data.to_vec(), found.agrees_with(wrote))))
-}
-
-/// Value that was read, or empty after a write. A service port does not report the length of an object, so `ty` gives
-/// it.
-fn transfer(
-    channel: &mut Channel,
-    target: &Target,
-    object: Object,
-    data: Option<&[u8]>,
-    ty: Option<Type>,
-) -> anyhow::Result<Result<Vec<u8>, SdoError>> {
-    let bus = match channel {
-        Channel::Bus(bus) => bus,
-        Channel::Drive(_) if target.block => bail!("--block: a service port transfers no blocks"),
-        Channel::Drive(drive) => return drive.transfer(target.node.raw(), object, data, ty),
-    };
-    let mut client = target.hold(bus, object, data)?;
-    let found = client.poll().ok_or(Interrupted)?;
-    Ok(found.map(|found| found.data.to_vec()))
 }
 
 /// A client that asks for another object than `object`, which every node has. A node answers requests in their order.
@@ -303,10 +340,10 @@ pub(super) fn start(
 }
 
 /// Text of an abort or a time-out in one line.
-fn refusal(channel: &Channel, target: &Target, error: SdoError) -> anyhow::Error {
-    let (node, silence) = match channel {
-        Channel::Bus(bus) => (bus.name_of(target.node), bus.silence()),
-        Channel::Drive(drive) => (drive.name_of(target.node), drive.silence()),
+pub(super) fn refusal(channel: &Channel, node: NodeId, error: SdoError) -> anyhow::Error {
+    let (name, silence) = match channel {
+        Channel::Bus(bus) => (bus.name_of(node), bus.silence()),
+        Channel::Drive(drive) => (drive.name_of(node), drive.silence()),
     };
     let hint = match error.cause {
         SdoCause::Aborted { code } => words::hint(code),
@@ -317,7 +354,7 @@ fn refusal(channel: &Channel, target: &Target, error: SdoError) -> anyhow::Error
         Some(hint) => anyhow!("{error}: {hint}"),
         None => anyhow!(error),
     };
-    error.context(node)
+    error.context(name)
 }
 
 #[derive(Serialize)]
@@ -335,12 +372,12 @@ struct Answer {
 
 fn show(
     target: &Target,
+    object: Object,
     data: &[u8],
     ty: Option<Type>,
     sheet: Option<&DataSheet>,
     identification: Identification,
 ) -> anyhow::Result<ExitCode> {
-    let object = target.object;
     let ty = ty.or_else(|| sheet?.value_type());
     let meaning = |raw| words::meaning(object, raw, identification.fault_table());
     let answer = Answer {

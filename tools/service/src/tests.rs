@@ -246,8 +246,26 @@ fn a_node_that_another_master_guards_is_read_by_its_state_without_the_toggle_bit
 
 #[test]
 fn a_node_that_still_answers_sdo_did_not_stop() {
-    let told = NodeReport { wanted: NmtState::Stopped, heard: Vec::new(), silent: Some((node(3), Some(Ok(0)))) };
+    let told = NodeReport {
+        wanted: NmtState::Stopped,
+        heard: Vec::new(),
+        silent: Some((node(3), Some(Ok(0)))),
+        booted: Vec::new(),
+    };
     assert!(!told.confirmed());
+}
+
+#[test]
+fn a_node_that_boots_under_its_new_node_id_obeyed_the_reset() {
+    let mut stage = Stage::with(&[3]);
+    let services = [(Service::ConfigureNodeId(Some(node(5))), TIMEOUT)];
+    stage.hold(&mut Dialogue::with(None, &services, None, TIMEOUT));
+    let told = stage.tell(Command::ResetCommunication.to(node(3)));
+    assert_eq!((told.silent, told.booted.as_slice()), (Some((node(3), None)), &[node(5)][..]));
+    assert!(told.confirmed());
+    // A node that keeps its node-ID, and one that is not there.
+    assert_eq!(stage.tell(Command::ResetCommunication.to(node(5))).booted, []);
+    assert!(!stage.tell(Command::ResetCommunication.to(node(3))).confirmed());
 }
 
 #[test]

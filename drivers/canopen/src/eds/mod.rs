@@ -14,12 +14,18 @@
 //! - `CompactSubObj` with its `[1003Name]` (§6.6.3.4) and `[1003Value]` (§7.3.4.3);
 //! - objects that no list mentions.
 //!
+//! Data sheets of vendors have lines that are not as the standard has them. Such a line is a [`Flaw`]: the file is read,
+//! and only the [`Part`] that depends on the line is absent. The user of that part refuses it. A value that a DCF states
+//! must be right: [`crate::dcf::download`] refuses the flaws on which a stated value depends. A file that describes no
+//! object, with a flaw, is refused.
+//!
 //! The reader ignores sections of tools and modules (§8), denotations, object links, and the keys that no field here
 //! has, since no object depends on them.
 
 mod error;
 mod ini;
 mod read;
+mod strip;
 mod value;
 mod write;
 
@@ -27,7 +33,8 @@ use std::collections::BTreeMap;
 
 use crate::{NodeId, Object};
 
-pub use error::{EdsCause, EdsError};
+pub use error::{EdsCause, EdsError, Flaw, FlawedLines, Part};
+pub use strip::{Stripped, strip};
 pub use value::Value;
 
 /// The most variables that a file may describe; a device has some thousands.
@@ -51,6 +58,8 @@ pub struct Eds {
     pub dummies: [bool; 7],
     /// The objects by index.
     pub objects: BTreeMap<u16, Entry>,
+    /// Lines of the file that are not as the standard has them, ascending.
+    pub flaws: Vec<Flaw>,
 }
 
 /// Section `[FileInfo]`, as it stands there.
@@ -342,6 +351,23 @@ impl Eds {
     pub fn variable(&self, object: Object) -> Option<&Variable> {
         let entry = self.objects.get(&object.index)?;
         entry.variables.get(&object.subindex)
+    }
+
+    /// The flaw for which `object` is not described.
+    pub fn flaw_of(&self, object: Object) -> Option<&Flaw> {
+        let of = |part| self.flaws.iter().find(move |flaw| flaw.part == part);
+        of(Part::Variable(object)).or_else(|| of(Part::Entry(object.index)))
+    }
+
+    /// The flaw of the limits of `object`. A limit in another spelling is certain.
+    pub fn flaw_of_limits(&self, object: Object) -> Option<&Flaw> {
+        let mut flaws = self.flaws.iter().filter(|flaw| flaw.part == Part::Limits(object));
+        flaws.find(|flaw| flaw.error.cause != EdsCause::Spelling)
+    }
+
+    /// The flaws by kind, in the order of their first lines.
+    pub fn flawed_lines(&self) -> Vec<FlawedLines> {
+        FlawedLines::of(self.flaws.iter().map(|flaw| flaw.error))
     }
 
     /// All variables in ascending order.

@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use super::ini::Text;
+use super::ini::{self, Text};
 use super::{DataType, EdsCause, EdsError};
 use crate::NodeId;
 
@@ -60,6 +60,51 @@ impl Value {
         }
     }
 
+    /// The value that came over the bus as these bytes; `None` if it has another size than its type, or no line of a file
+    /// can hold it. A device may send four bytes for a shorter number (CiA 301 §7.2.4.3.5), and zeros behind a text.
+    pub fn decode(data_type: DataType, data: &[u8]) -> Option<Self> {
+        let size = data_type.size();
+        let data = match size {
+            Some(size) if data.len() == size || data.len() == 4 && size < 4 => data.get(..size)?,
+            Some(_) => return None,
+            None => data,
+        };
+        let value = match data_type {
+            DataType::Real32 => Self::Real(f64::from(f32::from_le_bytes(data.try_into().ok()?))),
+            DataType::Real64 => Self::Real(f64::from_le_bytes(data.try_into().ok()?)),
+            DataType::OctetString => Self::Bytes(data.to_owned()),
+            DataType::VisibleString => {
+                let end = data.iter().rposition(|byte| *byte != 0).map_or(0, |last| last + 1);
+                Self::Text(data[..end].iter().map(|&byte| char::from(byte)).collect())
+            }
+            _ => {
+                let (low, high) = data_type.range()?;
+                let bits = data.iter().rev().fold(0_i128, |bits, byte| bits << 8 | i128::from(*byte));
+                let value = if low < 0 && bits > high { bits + low - high - 1 } else { bits };
+                Self::number(value)
+            }
+        };
+        // A text may look like a comment or end in a space, and a number may not be finite.
+        let text = value.to_string();
+        let line = ini::uncommented(&text);
+        let read = Self::parse(data_type, Text { line: 0, text: line }).ok().filter(|_| !line.is_empty());
+        read.filter(|read| *read == value && !text.contains(char::is_control))
+    }
+
+    /// A default or a limit, with the error of its line. A number whose meaning is certain is read in other spellings as
+    /// well.
+    pub(super) fn read(data_type: DataType, text: Text<'_>) -> (Option<Self>, Option<EdsError>) {
+        match Self::parse(data_type, text) {
+            Ok(value) => (Some(value), None),
+            Err(error) => {
+                let plain = plain(data_type, text.text);
+                let value = plain.and_then(|plain| Self::parse(data_type, Text { text: &plain, ..text }).ok());
+                let error = if value.is_some() { EdsCause::Spelling.at(text.line) } else { error };
+                (value, Some(error))
+            }
+        }
+    }
+
     pub(super) fn parse(data_type: DataType, text: Text<'_>) -> Result<Self, EdsError> {
         let Text { line, text } = text;
         match data_type {
@@ -87,6 +132,29 @@ impl fmt::Display for Value {
             Self::Bytes(bytes) => bytes.iter().try_for_each(|byte| write!(f, "{byte:02X}")),
         }
     }
+}
+
+/// A number as the standard writes it, of one with a comment behind `#`, with the suffix of a C literal, or with another
+/// name of the node-ID; `None` if it has none of these.
+fn plain(data_type: DataType, text: &str) -> Option<String> {
+    const NAMES: [&str; 2] = ["$MY_NODE_ID", "$NODE_ID"];
+    let mut plain = text.split('#').next().unwrap_or(text).trim().to_owned();
+    for name in NAMES {
+        if let Some(at) = plain.to_ascii_uppercase().find(name) {
+            plain.replace_range(at..at + name.len(), "$NODEID");
+        }
+    }
+    let is_hex = plain.starts_with("0x") || plain.starts_with("0X");
+    let suffix: &[char] = match data_type {
+        DataType::Real32 | DataType::Real64 if is_hex => &[],
+        DataType::Real32 | DataType::Real64 => &['f', 'F', 'l', 'L'],
+        _ => &['u', 'U', 'l', 'L'],
+    };
+    let letters = plain.len() - plain.trim_end_matches(suffix).len();
+    if !plain.to_ascii_uppercase().ends_with("$NODEID") && letters <= 3 {
+        plain.truncate(plain.len() - letters);
+    }
+    (plain != text).then_some(plain)
 }
 
 /// A decimal, hexadecimal or octal number (CiA 306-1 §6.3), with a sign in front if it is below zero.
@@ -247,6 +315,31 @@ mod tests {
         }
         for text in ["1", "1G", "é1"] {
             assert_eq!(parse(DataType::OctetString, text), Err(EdsCause::Bytes.at(7)));
+        }
+    }
+
+    #[test]
+    fn values_from_the_bus_are_those_that_a_file_can_hold() {
+        let decode = |data_type, data: &[u8]| Value::decode(data_type, data).map(|value| value.to_string());
+        let table: [(DataType, &[u8], Option<&str>); 15] = [
+            (DataType::Integer8, &[0xFD], Some("-3")),
+            (DataType::Integer16, &[0xFE, 0xFF, 0, 0], Some("-2")),
+            (DataType::Unsigned16, &[1, 2, 3], None),
+            (DataType::Unsigned32, &[1, 2, 3, 4], Some("0x04030201")),
+            (DataType::Unsigned64, &[0xFF; 8], Some("0xffffffffffffffff")),
+            (DataType::Integer64, &[0xFF; 8], Some("-1")),
+            (DataType::Boolean, &[1], Some("1")),
+            (DataType::Boolean, &[0x10], None),
+            (DataType::Real32, &[0, 0, 0xC0, 0x3F], Some("1.5")),
+            (DataType::Real32, &[0, 0, 0x80, 0x7F], None),
+            (DataType::VisibleString, b"EPOS4\0\0", Some("EPOS4")),
+            (DataType::VisibleString, b"two\nlines", None),
+            (DataType::VisibleString, b"a ; b", None),
+            (DataType::OctetString, &[1, 0xAF], Some("01AF")),
+            (DataType::Domain, &[1], None),
+        ];
+        for (data_type, data, text) in table {
+            assert_eq!(decode(data_type, data).as_deref(), text, "{data_type:?} {data:?}");
         }
     }
 

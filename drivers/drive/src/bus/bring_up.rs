@@ -10,9 +10,9 @@ use canopen::{NodeId, Object, cia401, nmt, number};
 use master::sdo::{Client, SdoCause, SdoError, Transfer};
 
 use super::step::{Need, Step};
-use crate::cia402::{GroupConfig, Setting, is_timer};
+use crate::cia402::{GroupConfig, Purpose, Setting, is_timer};
 use crate::wrench::WrenchError;
-use crate::{BringUpError, Increments};
+use crate::{BringUpError, Increments, WarningCause};
 
 /// Greatest number of boots of a node in one bring-up. A node that boots again has failed to boot.
 const BOOTS: u8 = 3;
@@ -64,6 +64,30 @@ pub(crate) struct Learnt {
     pub(crate) inputs: u32,
     /// Mode of operation that the drive reported unasked since its start.
     pub(crate) mode_shown: Option<ModeOfOperation>,
+    /// Software position limits of the drive that lie within the positions of the cell.
+    pub(crate) software_limits: Option<WarningCause>,
+    /// Comparison of the settings of [`Purpose::Compare`].
+    pub(crate) comparison: Comparison,
+}
+
+impl Learnt {
+    /// What the drive holds otherwise than the cell or the device configuration file.
+    pub(crate) fn warnings(&self) -> impl Iterator<Item = WarningCause> + use<> {
+        let Comparison { values, different, first } = self.comparison;
+        let compared = first.map(|first| WarningCause::Compared { values, different, first });
+        compared.into_iter().chain(self.software_limits)
+    }
+}
+
+/// Comparison of values that can only be read.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Comparison {
+    /// Number of compared values.
+    pub(crate) values: u32,
+    /// Number of values that differ, or that the drive does not give.
+    pub(crate) different: u32,
+    /// The first object that differs.
+    pub(crate) first: Option<Object>,
 }
 
 /// Brings one node from any state to configured, and then to operational.
@@ -117,6 +141,8 @@ enum Phase {
 struct Progress {
     step: usize,
     reading_back: bool,
+    /// A value was read that need not be written, and the drive holds another.
+    questioned: bool,
     /// The request of this step is under way.
     asked: bool,
     /// Begin of this step.
@@ -125,7 +151,7 @@ struct Progress {
 
 impl Progress {
     fn at(step: usize, now: Instant) -> Self {
-        Self { step, reading_back: false, asked: false, since: now }
+        Self { step, reading_back: false, questioned: false, asked: false, since: now }
     }
 }
 
@@ -250,6 +276,7 @@ impl NodeBringUp {
                         Ok(device_type) => {
                             self.profile.check(node, device_type)?;
                             self.unwatched = false;
+                            self.learnt.comparison = Comparison::default();
                             self.phase = Phase::Configuring(Progress::at(0, now));
                             return self.advance(sdo, now);
                         }
@@ -263,7 +290,7 @@ impl NodeBringUp {
                 Ok(())
             }
             Phase::Configuring(progress) => {
-                let Progress { step, reading_back, asked, since } = progress;
+                let Progress { step, reading_back, asked, since, questioned } = progress;
                 let Some(current) = self.program.get(step).copied() else {
                     self.phase = Phase::Configured;
                     return Ok(());
@@ -279,7 +306,7 @@ impl NodeBringUp {
                 }
                 if !asked {
                     match (current, reading_back) {
-                        (Step::Configure(object, number), false) => {
+                        (Step::Configure(object, number), false) if self.is_written(number, questioned) => {
                             let data = &self.configuration[number].data;
                             let started = sdo.download(object, data, now);
                             started.expect("the client is idle and the length was checked");
@@ -295,8 +322,14 @@ impl NodeBringUp {
                 let Some(result) = sdo.poll() else {
                     return Ok(());
                 };
-                let next = self.judge(current, reading_back, result, now.since(since))?;
+                let next = match current {
+                    Step::Configure(object, number) if !reading_back && !self.is_written(number, questioned) => {
+                        self.question(object, number, result)?
+                    }
+                    _ => self.judge(current, reading_back, result, now.since(since))?,
+                };
                 self.phase = Phase::Configuring(match next {
+                    Next::Write => Progress { questioned: true, asked: false, ..progress },
                     Next::ReadBack => Progress { reading_back: true, asked: false, ..progress },
                     Next::Again => Progress { asked: false, ..progress },
                     Next::Step => Progress::at(step + 1, now),
@@ -318,12 +351,43 @@ impl NodeBringUp {
     /// read.
     fn is_unverifiable(&self, step: usize) -> bool {
         if let Step::Configure(_, number) = self.program[step]
-            && !self.configuration[number].readable
+            && (!self.configuration[number].readable || self.configuration[number].purpose == Purpose::Compare)
         {
             return true;
         }
         let written = self.program[step].written();
         written.is_some() && self.program[step + 1..].iter().any(|later| later.written() == written)
+    }
+
+    /// Whether the step of a setting writes without a question, or after it.
+    fn is_written(&self, number: usize, questioned: bool) -> bool {
+        questioned || self.configuration[number].purpose == Purpose::Write
+    }
+
+    /// Takes the value of a setting that need not be written. A time-out is an error, and an abort is a difference: the
+    /// write then decides.
+    fn question(
+        &mut self,
+        object: Object,
+        number: usize,
+        result: Result<Transfer<'_>, SdoError>,
+    ) -> Result<Next, BringUpError> {
+        let setting = &self.configuration[number];
+        let agrees = match result {
+            Ok(transfer) => transfer.agrees_with(&setting.data),
+            Err(SdoError { cause: SdoCause::Aborted { .. }, .. }) => false,
+            Err(error) => return Err(error_of(self.node, error)),
+        };
+        if setting.purpose == Purpose::WriteIfDifferent {
+            return Ok(if agrees { Next::Step } else { Next::Write });
+        }
+        let comparison = &mut self.learnt.comparison;
+        comparison.values += 1;
+        if !agrees {
+            comparison.different += 1;
+            comparison.first.get_or_insert(object);
+        }
+        Ok(Next::Step)
     }
 
     fn judge(
@@ -356,7 +420,12 @@ impl NodeBringUp {
                 self.agreed = true;
                 return Ok(Next::Step);
             }
-            Step::Value(_) if absent => {
+            Step::Modes(_) if absent => return Ok(Next::Step),
+            Step::UpperLimit(_) if absent => {
+                self.value = None;
+                return Ok(Next::Step);
+            }
+            Step::Value(_) | Step::LowerLimit if absent => {
                 self.value = None;
                 return Ok(Next::Step);
             }
@@ -371,7 +440,21 @@ impl NodeBringUp {
             }
             _ => {}
         }
-        let transfer = result.map_err(|error| error_of(self.node, error))?;
+        let written = match step {
+            _ if reading_back => None,
+            Step::Set(write, _) => Some(number(write.data.data())),
+            Step::Configure(_, setting) => {
+                let data = &self.configuration[setting].data;
+                (data.len() <= 4).then(|| number(data))
+            }
+            _ => None,
+        };
+        let transfer = result.map_err(|error| match (error.cause, written) {
+            (SdoCause::Aborted { code: AbortCode(code) }, Some(written)) => {
+                BringUpError::WriteRefused { node, object: error.object, written, code }
+            }
+            _ => error_of(self.node, error),
+        })?;
         let error = |error| error_of(self.node, error);
         match step {
             Step::Identity(object, expected) => {
@@ -403,6 +486,11 @@ impl NodeBringUp {
                     (Some(_), Some(value)) => agreement.check(node, value, read)?,
                     (Some(_), None) => {}
                 }
+            }
+            Step::LowerLimit => self.value = Some(transfer.number().map_err(error)?),
+            Step::UpperLimit(cell) => {
+                let high = transfer.number::<i32>().map_err(error)?;
+                self.learnt.software_limits = self.value.take().and_then(|low| narrower([low as i32, high], cell));
             }
             Step::AtLeast(_, least) => {
                 self.agreed = transfer.number::<u32>().map_err(error)? >= least;
@@ -445,6 +533,14 @@ impl NodeBringUp {
     }
 }
 
+/// The warning of software limits that stop a motor within the positions of the cell. A drive whose lower limit is not
+/// below its upper limit has none.
+fn narrower([low, high]: [i32; 2], cell: [Increments; 2]) -> Option<WarningCause> {
+    let [Increments(least), Increments(most)] = cell;
+    let narrows = low < high && (least < low || most > high);
+    narrows.then_some(WarningCause::SoftwareLimits { low, high, least, most })
+}
+
 /// Checks that the node holds the written value.
 fn compare(node: NodeId, object: Object, wrote: &[u8], read: Transfer) -> Result<(), BringUpError> {
     let found = read.data;
@@ -462,6 +558,7 @@ fn compare(node: NodeId, object: Object, wrote: &[u8], read: Transfer) -> Result
 }
 
 enum Next {
+    Write,
     ReadBack,
     Again,
     Step,

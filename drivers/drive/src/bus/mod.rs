@@ -246,6 +246,16 @@ impl<P: Port> CanBus<P> {
         Sign::of(frame, self.config.host_node, |node| self.routes.place(node).is_some())
     }
 
+    /// Warns of what bring-up found in the drives.
+    fn warn_of_bring_up(&mut self) {
+        for member in &self.members {
+            let node = member.bring_up.node().raw();
+            for cause in member.bring_up.learnt.warnings() {
+                self.warnings.add(Warning { after: Duration::ZERO, node, cause, count: 1 });
+            }
+        }
+    }
+
     /// Takes one frame during operation. `None` means an undecodable or unexpected frame.
     fn take(&mut self, received: Received, now: Instant) -> Option<()> {
         let Received { frame, at } = received;
@@ -352,6 +362,7 @@ impl<P: Port> DriveGroup for CanBus<P> {
                 self.up_since = now;
                 self.cycle = 0;
                 self.warnings.clear();
+                self.warn_of_bring_up();
                 self.proved_at = None;
                 let lags = self.measured_lags();
                 self.drives.begin(now, &self.members, lags.into_iter());

@@ -5,6 +5,7 @@ use canopen::cia402::ModeOfOperation;
 use canopen::objects::*;
 use canopen::sdo::Write;
 
+use crate::Increments;
 use crate::cia402::{Agreement, ConfigError, GroupConfig, Identity};
 
 /// One read or write of bring-up.
@@ -12,7 +13,7 @@ use crate::cia402::{Agreement, ConfigError, GroupConfig, Identity};
 pub(crate) enum Step {
     /// Object 0x1018 must have this value.
     Identity(Object, u32),
-    /// Object 0x6502 must list these modes.
+    /// Object 0x6502 must list these modes. A drive without the object is accepted: object 0x6061 shows the mode.
     Modes([ModeOfOperation; 2]),
     /// Sub-index 0 of an array of an I/O node must be at least this number of blocks.
     Blocks(Object, u8),
@@ -28,6 +29,10 @@ pub(crate) enum Step {
     AtLeast(Object, u32),
     /// Writes and reads back.
     Set(Write, Need),
+    /// Reads the lower software position limit. A drive without the object is accepted.
+    LowerLimit,
+    /// Reads the upper software position limit, and compares both with the least and the greatest position of the cell.
+    UpperLimit([Increments; 2]),
     /// Object 0x6061 must come to show this mode.
     Shown(ModeOfOperation),
     /// Reads object 0x6041.
@@ -102,6 +107,8 @@ impl Step {
             Self::Value(agreement) => agreement.object,
             Self::Agree(agreement) => agreement.divisor.unwrap_or(agreement.object),
             Self::Set(write, _) => write.object,
+            Self::LowerLimit => MIN_POSITION_LIMIT,
+            Self::UpperLimit(_) => MAX_POSITION_LIMIT,
             Self::Shown(_) => MODE_OF_OPERATION_DISPLAY,
             Self::Statusword => STATUSWORD,
             Self::Position => POSITION_ACTUAL,

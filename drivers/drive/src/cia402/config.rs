@@ -8,9 +8,9 @@ use master::sdo::CAPACITY;
 use thiserror::Error;
 
 use super::reserved::{Reserved, reserved};
-use crate::Scale;
 use crate::cia401::IoQuantity;
 use crate::scale::rpm_magnitude;
+use crate::{Increments, Scale};
 
 /// Heartbeat periods without a heartbeat after which the other side counts as lost, in both directions.
 pub(super) const HEARTBEATS_TO_LOSE: u32 = 3;
@@ -71,6 +71,9 @@ pub struct AxisConfig {
     /// Bit of object 0x60FD that is a normally closed contact of the emergency stop: set while the contact is closed. The
     /// drive then sends the object at every SYNC, by TPDO 3. The object has the bits 0 to 31.
     pub emergency_input: Option<u8>,
+    /// Least and greatest position of the motor in the cell, rad. Bring-up compares the software position limits of the
+    /// drive (object 0x607D) with them; `None` compares nothing.
+    pub position_range: Option<(f64, f64)>,
     /// The objects of the device configuration file, then those of the cell, which prevail. They are downloaded in order
     /// before the settings of this driver. None of them may be [`reserved`](super::reserved).
     pub configuration: Vec<Setting>,
@@ -131,6 +134,19 @@ pub struct Setting {
     pub data: Vec<u8>,
     /// The object can be read; bring-up then reads it back.
     pub readable: bool,
+    /// What bring-up does with the value.
+    pub purpose: Purpose,
+}
+
+/// What bring-up does with a value.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Purpose {
+    /// It is written.
+    Write,
+    /// It is read, and written if the drive holds another value.
+    WriteIfDifferent,
+    /// It is read. A difference is a warning.
+    Compare,
 }
 
 /// Why a configuration is refused.
@@ -265,7 +281,8 @@ pub(crate) fn check_settings(
     reserved: impl Fn(Object) -> Option<Reserved>,
 ) -> Result<(), ConfigError> {
     let refusal = |object: Object, why| ConfigError::Setting { node: node.raw(), object, why };
-    if let Some(found) = settings.iter().find_map(|setting| reserved(setting.object)) {
+    let mut written = settings.iter().filter(|setting| setting.purpose != Purpose::Compare);
+    if let Some(found) = written.find_map(|setting| reserved(setting.object)) {
         return Err(refusal(found.object, found.why));
     }
     let other = settings.iter().find(|setting| !(1..=CAPACITY).contains(&setting.data.len()));
@@ -287,6 +304,13 @@ impl AxisConfig {
     fn check_writes(&self) -> Result<(), ConfigError> {
         let reserved = |object: Object| reserved(self.identity.vendor, object.index, object.subindex);
         check_settings(self.node, &self.configuration, reserved)
+    }
+
+    /// Least and greatest position of the motor in the cell, as the homed counter of the drive; `None` beyond 32 bits.
+    pub(super) fn counter_range(&self) -> Option<[Increments; 2]> {
+        let (low, high) = self.position_range?;
+        let (low, high) = (self.scale.increments(low)?, self.scale.increments(high)?);
+        Some([low.min(high), low.max(high)])
     }
 
     pub(super) fn drive_units(&self) -> Result<DriveUnits, ConfigError> {

@@ -81,7 +81,9 @@ use master::sdo::Client;
 pub(crate) use agreement::Agreement;
 pub use canopen::NodeId;
 pub(crate) use config::check_settings;
-pub use config::{AxisConfig, ConfigError, CyclicMode, GroupConfig, HomingConfig, Identity, Quantity, Setting};
+pub use config::{
+    AxisConfig, ConfigError, CyclicMode, GroupConfig, HomingConfig, Identity, Purpose, Quantity, Setting,
+};
 pub use process_data::pdo_setups;
 pub(crate) use process_data::{SHOWN_APART, is_timer, mode_shown, request_len};
 pub(crate) use program::program;

@@ -94,6 +94,9 @@ pub(crate) fn program(group: &GroupConfig, axis: &AxisConfig) -> Result<Vec<Step
         steps.extend(agreement.divisor.map(|_| Step::Value(agreement)));
         steps.push(Step::Agree(agreement));
     }
+    if let Some(range) = axis.counter_range() {
+        steps.extend([Step::LowerLimit, Step::UpperLimit(range)]);
+    }
     let mut maps_mode = false;
     let (_, deadline) = group.heartbeat_times()?;
     for write in process_data::mapping_writes(axis, deadline) {

@@ -130,7 +130,10 @@ fn a_node_without_the_wanted_filter_or_with_an_rpdo_deadline_that_stays_is_refus
     let filtered = IoConfig { filtered_inputs: 1, ..io_config(IO) };
     let mut bench = down(group_config(), filtered);
     bench.stores[1].objects.remove(&(0x6003, 1));
-    assert_eq!(bench.bring_up(), Err(BringUpError::Aborted { node: IO, object: filter, code: 0x0602_0000 }));
+    assert_eq!(
+        bench.bring_up(),
+        Err(BringUpError::WriteRefused { node: IO, object: filter, written: 1, code: 0x0602_0000 })
+    );
     // Without a filtered input the node needs no filter, and no deadline either.
     let mut bench = down(group_config(), io_config(IO));
     for object in [(0x6003, 1), (0x6003, 2), (0x1400, 5)] {
@@ -182,11 +185,11 @@ fn a_node_that_is_not_what_the_cell_says_is_refused() {
         // Without an error state the outputs would stay when the host is silent.
         (
             |store| _ = store.objects.remove(&(0x6206, 1)),
-            BringUpError::Aborted { node: IO, object: object(0x6206, 1), code: 0x0602_0000 },
+            BringUpError::WriteRefused { node: IO, object: object(0x6206, 1), written: 0b1011, code: 0x0602_0000 },
         ),
         (
             |store| _ = store.objects.remove(&(0x1029, 1)),
-            BringUpError::Aborted { node: IO, object: object(0x1029, 1), code: 0x0602_0000 },
+            BringUpError::WriteRefused { node: IO, object: object(0x1029, 1), written: 2, code: 0x0602_0000 },
         ),
         (
             |store| store.forgetful = Some((0x6207, 1)),

@@ -36,7 +36,7 @@ pub(crate) fn group_config() -> GroupConfig {
 }
 
 pub(crate) fn setting(index: u16, subindex: u8, data: &[u8]) -> Setting {
-    Setting { object: Object::new(index, subindex), data: data.to_vec(), readable: true }
+    Setting { object: Object::new(index, subindex), data: data.to_vec(), readable: true, purpose: Purpose::Write }
 }
 
 /// 2000 increments per turn; an increment is TAU / 2000 rad.
@@ -60,6 +60,7 @@ pub(crate) fn axis_config(raw: u8) -> AxisConfig {
         following_error: tau / 2.0,
         quick_stop_deceleration: tau * 100.0,
         emergency_input: None,
+        position_range: None,
         configuration: vec![setting(0x3001, 1, &2_000_u32.to_le_bytes())],
     }
 }

@@ -287,11 +287,11 @@ fn every_failure_names_the_node_and_what_it_said() {
         ),
         (
             |store| _ = store.aborts.insert((0x60C2, 1), 0x0609_0030),
-            BringUpError::Aborted { node, object: Object::new(0x60C2, 1), code: 0x0609_0030 },
+            BringUpError::WriteRefused { node, object: Object::new(0x60C2, 1), written: 2, code: 0x0609_0030 },
         ),
         (
             |store| _ = store.objects.remove(&(0x6007, 0)),
-            BringUpError::Aborted { node, object: Object::new(0x6007, 0), code: 0x0602_0000 },
+            BringUpError::WriteRefused { node, object: Object::new(0x6007, 0), written: 3, code: 0x0602_0000 },
         ),
         (
             |store| store.forgetful = Some((0x6007, 0)),

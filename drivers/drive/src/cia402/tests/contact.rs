@@ -100,7 +100,10 @@ fn the_inputs_are_sent_at_every_sync_and_a_drive_that_cannot_is_refused() {
     bench = self::bench([0, 0, 1, 0]);
     bench.stores[1].aborts.insert((0x1A02, 1), 0x0604_0041);
     let refused = bench.bring_up().unwrap_err();
-    assert_eq!(refused.to_string(), "node 2: 0x1a02:01 refused: 0x06040041 (object cannot be mapped to the PDO)");
+    assert_eq!(
+        refused.to_string(),
+        "node 2: 0x1a02:01 refused 0x60fd0020: 0x06040041 (object cannot be mapped to the PDO)"
+    );
     bench = self::bench([0, 0, 1, 0]);
     bench.stores[1].objects.remove(&(0x60FD, 0));
     let refused = bench.bring_up().unwrap_err();

@@ -49,6 +49,19 @@ fn a_drive_that_cannot_map_its_answer_is_refused() {
     let mut bench = Bench::new(group_config(), &[axis_config(2)]);
     bench.stores[0].aborts.insert((0x1A00, 1), NOT_MAPPABLE);
     let error = bench.bring_up().unwrap_err();
-    let expected = BringUpError::Aborted { node: 2, object: Object::new(0x1A00, 1), code: NOT_MAPPABLE };
-    assert_eq!(error, expected);
+    let object = Object::new(0x1A00, 1);
+    assert!(matches!(error, BringUpError::WriteRefused { node: 2, object: refused, code: NOT_MAPPABLE, .. }
+        if refused == object));
+}
+
+/// The mode is checked by object 0x6061.
+#[test]
+fn a_drive_that_does_not_list_its_modes_is_brought_up() {
+    enabled(|store| _ = store.objects.remove(&(0x6502, 0)));
+    let mut bench = Bench::new(group_config(), &[axis_config(2)]);
+    bench.stores[0].objects.remove(&(0x6502, 0));
+    bench.stores[0].shows_modes = false;
+    let error = bench.bring_up().unwrap_err();
+    let shown = Object::new(0x6061, 0);
+    assert!(matches!(error, BringUpError::ReadBack { node: 2, object, written: 8, found: 1 } if object == shown));
 }

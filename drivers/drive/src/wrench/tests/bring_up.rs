@@ -102,7 +102,12 @@ fn a_sensor_that_is_not_what_the_cell_says_is_refused_before_operation() {
         ),
         (
             |bench| _ = bench.stores[0].objects.remove(&(0x1A01, 1)),
-            BringUpError::Aborted { node: SENSOR, object: Object::new(0x1A01, 1), code: 0x0602_0000 },
+            BringUpError::WriteRefused {
+                node: SENSOR,
+                object: Object::new(0x1A01, 1),
+                written: 0x2000_0410,
+                code: 0x0602_0000,
+            },
         ),
         (
             |bench| bench.sender.load[2] = -20_000,
