@@ -155,19 +155,24 @@ impl BusArgs {
 impl<P> Open<P> {
     /// Name of `node` in reports, with the name of its axis, I/O node or force sensor if the cell has one.
     fn name_of(&self, node: NodeId) -> String {
-        let name = self.cell.as_ref().and_then(|(file, bus)| {
-            let is_node = |&(robot, axis): &(usize, usize)| file.cell.robot[robot].axis[axis].node == node.raw();
-            let axis = file.cell.axes_on(*bus).find(is_node).map(|(robot, axis)| file.axis_name(robot, axis));
-            let mut io = file.cell.io_on(*bus).map(|io| &file.cell.io[io]);
-            let mut sensors = file.cell.sensors_on(*bus);
-            let is_sensor = |sensor: &usize| file.cell.node_of_sensor(*sensor) == Some(node.raw());
-            let io = io.find(|io| io.node == node.raw()).map(|io| io.name.clone());
-            let sensor = || Some(file.cell.force_sensor[sensors.find(is_sensor)?].name.clone());
-            axis.or(io).or_else(sensor)
-        });
-        let name = name.map(|name| format!(" ({name})"));
-        format!("node {node}{}", name.unwrap_or_default())
+        name_in(self.cell.as_ref().map(|(file, bus)| (file, *bus)), node)
     }
+}
+
+/// Name of `node` of a bus of a cell in reports.
+fn name_in(cell: Option<(&CellFile, usize)>, node: NodeId) -> String {
+    let name = cell.and_then(|(file, bus)| {
+        let is_node = |&(robot, axis): &(usize, usize)| file.cell.robot[robot].axis[axis].node == node.raw();
+        let axis = file.cell.axes_on(bus).find(is_node).map(|(robot, axis)| file.axis_name(robot, axis));
+        let mut io = file.cell.io_on(bus).map(|io| &file.cell.io[io]);
+        let mut sensors = file.cell.sensors_on(bus);
+        let is_sensor = |sensor: &usize| file.cell.node_of_sensor(*sensor) == Some(node.raw());
+        let io = io.find(|io| io.node == node.raw()).map(|io| io.name.clone());
+        let sensor = || Some(file.cell.force_sensor[sensors.find(is_sensor)?].name.clone());
+        axis.or(io).or_else(sensor)
+    });
+    let name = name.map(|name| format!(" ({name})"));
+    format!("node {node}{}", name.unwrap_or_default())
 }
 
 impl Bus {
