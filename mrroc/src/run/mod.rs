@@ -191,7 +191,13 @@ pub fn run(
     let axes = record.map(|sink| AxisLog::new(named("--record", &options.record, "rows"), sink, file)).transpose();
     let names = log_names(&bench.interfaces)?;
     let cell = Arc::new(file.clone());
-    let recorder = recording.begin(&cell, (options, requests), &mut servo, (&devices, &sensors), &names);
+    let zero = match options.bench {
+        BenchKind::Lockstep => None,
+        BenchKind::Emulated => Some(clock::now()),
+        BenchKind::Vcan | BenchKind::Card => Some(Instant::ZERO),
+    };
+    let recorder =
+        recording.begin(&cell, (options, requests, zero.map(clock::utc_of)), &mut servo, (&devices, &sensors), &names);
     let recorder = recorder.context("--record")?;
     let frames = trace.map(|sink| FrameLog::new(named("--trace", &options.trace, "frames"), sink, names)).transpose();
     let mut task = RunningTask::new(
