@@ -44,6 +44,16 @@ pub enum WarningCause {
     /// number of these answers.
     #[error("an answer without a SYNC: a frame came twice, or another node sends the same identifier")]
     Surplus,
+    /// The statusword of a drive has the bit `Statusword::WARNING`. The count says how often it was set.
+    #[error("the drive has a warning (statusword bit 7): read its error history, object 0x1003")]
+    Reported,
+    /// The statusword of a drive that is on, and does not search for its reference, has the bit
+    /// `Statusword::INTERNAL_LIMIT`. The count says how often it was set.
+    #[error(
+        "an internal limit of the drive is in force (statusword bit 11): check its limits of position, velocity and \
+         torque, and its limit switches"
+    )]
+    Limited,
 }
 
 impl WarningCause {
@@ -51,7 +61,7 @@ impl WarningCause {
     pub fn emergency(&self) -> Option<(u16, u8)> {
         match *self {
             Self::Emergency { code, register, .. } => Some((code, register)),
-            Self::Late { .. } | Self::Surplus => None,
+            Self::Late { .. } | Self::Surplus | Self::Reported | Self::Limited => None,
         }
     }
 
@@ -62,8 +72,8 @@ impl WarningCause {
                 (code, register) == (other, also)
             }
             (Self::Late { periods, .. }, Self::Late { periods: other, .. }) => periods == other,
-            (Self::Surplus, Self::Surplus) => true,
-            (Self::Emergency { .. } | Self::Late { .. } | Self::Surplus, _) => false,
+            (Self::Surplus, Self::Surplus) | (Self::Reported, Self::Reported) | (Self::Limited, Self::Limited) => true,
+            (Self::Emergency { .. } | Self::Late { .. } | Self::Surplus | Self::Reported | Self::Limited, _) => false,
         }
     }
 }

@@ -406,7 +406,8 @@ impl<P: Port> DriveGroup for CanBus<P> {
             self.heartbeat.hasten(now);
         }
         let due = self.syncs.attempted;
-        let missed = self.drives.end_of_read(now, due, &mut self.members, &mut self.warnings, states);
+        let warnings = (&mut self.warnings, now.since(self.up_since));
+        let missed = self.drives.end_of_read(now, due, &mut self.members, warnings, states);
         if self.syncs.sent {
             self.counters.missed_answers += missed;
         }

@@ -25,7 +25,7 @@ fn bench(mode: CyclicMode, latencies: [Option<Duration>; 2]) -> Bench {
 fn late(bench: &Bench) -> Vec<(u8, u32, Duration)> {
     let late = |cause| match cause {
         WarningCause::Late { periods, latency } => Some((periods, latency)),
-        WarningCause::Emergency { .. } | WarningCause::Surplus => None,
+        WarningCause::Emergency { .. } | WarningCause::Surplus | WarningCause::Reported | WarningCause::Limited => None,
     };
     let warnings = bench.group.warnings().iter();
     warnings.filter_map(|it| late(it.cause).map(|(periods, latency)| (it.node, periods, latency))).collect()
