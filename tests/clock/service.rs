@@ -130,6 +130,18 @@ fn a_monitor_shows_what_passes_and_ends_when_it_is_told_or_nobody_reads(stage: &
     assert_eq!(ended.status.code(), Some(0), "{ended:?}");
     assert!(ended.stdout.contains("pre-operational"), "{ended:?}");
 
+    // The interface goes down, and comes back.
+    let monitor = Running::start(["monitor", "--can", stage.interface]);
+    for (state, wait) in [("down", 2), ("up", 1), ("up", 2)] {
+        clock::sleep_until(clock::now() + Duration::from_secs(wait));
+        let set = Command::new("ip").args(["link", "set", stage.interface, state]).status().unwrap();
+        assert!(set.success(), "{state}");
+    }
+    monitor.signal("INT");
+    let ended = monitor.output();
+    assert_eq!(ended.status.code(), Some(0), "{ended:?}");
+    assert!(ended.stderr.contains("the interface is down") && ended.stderr.contains("arrive again"), "{ended:?}");
+
     let mut monitor = Command::new(mrroc::binary())
         .args(["monitor", "--can", stage.interface])
         .stdout(Stdio::piped())

@@ -31,7 +31,7 @@ use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
 use anyhow::{Context, bail};
-use can::{ControllerState, Port};
+use can::Port;
 use canopen::{NodeId, Object};
 use clap::Args;
 use master::sdo::SdoError;
@@ -40,6 +40,7 @@ use thiserror::Error;
 use epos::ServicePort;
 use mrroc::bench::bus_port::BusPort;
 use mrroc::bench::interfaces::Interface;
+use mrroc::bench::silence;
 use mrroc::cell::CellFile;
 use mrroc::signals;
 use mrroc::streams::say;
@@ -185,23 +186,7 @@ impl Bus {
 
     /// Possible reasons why no node answered.
     fn silence(&self) -> String {
-        let counters = self.port.counters();
-        let interface = &self.interface;
-        match (counters.received, self.port.state()) {
-            (1.., _) => format!(
-                "{interface} carries other frames, so its bit rate is right: the node has another node-ID, is \
-                 switched off, or is stopped (a stopped node answers no SDO)"
-            ),
-            (0, ControllerState::Active) if counters.errors == 0 => format!(
-                "nothing at all is heard on {interface}: wrong bit rate, no power at the nodes, CAN_H and CAN_L \
-                 swapped, or no termination"
-            ),
-            (0, state) => format!(
-                "the controller of {interface} is {}: nobody acknowledges its frames. Wrong bit rate, no \
-                 termination, or no node with power",
-                words::controller_state(state)
-            ),
-        }
+        silence::reasons(&self.interface, self.port.counters(), self.port.state())
     }
 }
 

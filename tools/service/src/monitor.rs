@@ -3,13 +3,14 @@
 mod from_file;
 
 use std::io::{BufWriter, ErrorKind, Write};
+use std::mem::{replace, take};
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 use anyhow::Context;
-use can::{ControllerState, Port, Received, clock};
+use can::{ControllerState, Port, PortError, Received, clock};
 use canopen::NodeId;
 use canopen::cia401::PROFILE;
 use clap::Args;
@@ -21,11 +22,15 @@ use super::decode::{Decoder, Described, Kind};
 use super::pdo_map::{MappingQuestions, Pdo, PdoMap};
 use super::survey::Survey;
 use super::talk;
-use super::words::{self, Identification};
+use super::words::Identification;
 use super::{Bus, BusArgs};
 use mrroc::bench::interfaces::Interface;
+use mrroc::bench::silence;
 use mrroc::cell::CellFile;
 use mrroc::setup;
+
+/// Message about an interface that was set down.
+const DOWN: &str = "the interface is down: frames are shown again once it is up (ip link set ... up), Ctrl-C ends";
 
 /// Options of `mrroc monitor`.
 #[derive(Args)]
@@ -63,7 +68,7 @@ impl Options {
     }
 }
 
-/// Shows frames until Ctrl-C, until `--count` frames were shown, or until the reader of the output closes it. The exit
+/// Shows frames until Ctrl-C, also after the interface was down, until `--count` frames were shown, or until the reader of the output closes it. The exit
 /// status is 0 in all three cases. A log is shown to its end.
 pub fn monitor(options: &Options) -> anyhow::Result<ExitCode> {
     if let Some(path) = &options.from {
@@ -127,11 +132,25 @@ fn watch(bus: &mut Bus, decoder: &mut Decoder, options: &Options) -> anyhow::Res
     let began = clock::now();
     decoder.begin(began);
     let mut left = options.count.unwrap_or(u64::MAX);
-    let mut health = Health::default();
+    let (mut health, mut down) = (Health::default(), false);
     while left > 0 && !bus.interrupted.load(Ordering::Relaxed) {
-        let on = || bus.interface.to_string();
-        bus.port.wait_readable(clock::now() + talk::LOOK).with_context(on)?;
-        let count = bus.port.receive(clock::now(), &mut received).with_context(on)?;
+        let look = clock::now() + talk::LOOK;
+        let read = bus.port.wait_readable(look).and_then(|_| bus.port.receive(clock::now(), &mut received));
+        let count = match read {
+            Ok(count) => count,
+            Err(PortError::Down) => {
+                if !replace(&mut down, true) {
+                    mrroc::streams::warn(format_args!("mrroc: {}: {DOWN}", bus.interface));
+                }
+                clock::sleep_until(look);
+                0
+            }
+            Err(error) => return Err(error).with_context(|| bus.interface.to_string()),
+        };
+        if count > 0 && take(&mut down) {
+            mrroc::streams::warn(format_args!("mrroc: {}: frames arrive again", bus.interface));
+            decoder.begin(clock::now());
+        }
         if health.has_lost(bus) {
             // The position of the loss among the received frames is not known.
             decoder.begin(clock::now());
@@ -176,7 +195,7 @@ impl Health {
         if lost > 0 {
             return Some(loss(&bus.interface, lost));
         }
-        changed.then(|| format!("the controller is {}", words::controller_state(state)))
+        changed.then(|| format!("the controller is {}", silence::state_text(state)))
     }
 }
 

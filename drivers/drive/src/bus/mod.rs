@@ -499,7 +499,7 @@ impl<P: Port> DriveGroup for CanBus<P> {
     }
 
     fn counters(&self) -> GroupCounters {
-        GroupCounters { port: self.port.counters(), ..self.counters }
+        GroupCounters { port: self.port.counters(), state: self.port.state(), ..self.counters }
     }
 
     fn warnings(&self) -> &Warnings {
