@@ -93,9 +93,9 @@ pub use running_task::Progress;
 pub(crate) use running_task::RunningTask;
 use running_task::{Rehearsals, TaskErrors};
 use tick::tick;
-pub(crate) use watch::returned;
 pub use watch::{ServoHang, hang_limit};
 use watch::{Watch, watched};
+pub(crate) use watch::{returned, returned_after};
 
 /// Least `--speed`, percent: at lower speeds, a program of minutes lasts for days.
 const LEAST_SPEED: f64 = 0.1;
@@ -247,7 +247,7 @@ pub fn run(
                 }
                 in_lockstep(servo, task, logs, buses, &stop, tell)
             };
-            watched("lockstep", &turns, progress, work)??
+            watched("lockstep", &turns, progress, work)?.0?
         }
         _ => by_the_clock(file, servo, task, logs, (buses, bench.guardian), requests, progress)?,
     };
