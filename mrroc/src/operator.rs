@@ -19,6 +19,9 @@ use crate::streams;
 /// Lines that wait for a question. Standard input is read on when there is room again.
 const LINES: usize = 64;
 
+/// Texts that wait to be shown without an operator. A run in virtual time may tell much in a short time.
+const TEXTS: usize = 1024;
+
 /// Greatest length of a line, bytes. A longer line is ignored with a message.
 const LONGEST: u64 = 1000;
 
@@ -112,6 +115,16 @@ impl Console {
             texts.try_iter().for_each(|text| show(&text));
         })?;
         Ok(Self { link, _lines: lines, texts })
+    }
+
+    /// A console that shows texts, and reads no lines.
+    pub(crate) fn of_texts(requests: &Requests, show: impl FnMut(&str) + Send + 'static) -> anyhow::Result<Self> {
+        let _member = requests.crew.join();
+        let (link, OperatorPanel { lines: _, texts }) = OperatorLink::new(TEXTS);
+        let texts = background("operator output", (texts, show), |(texts, show)| {
+            texts.try_iter().for_each(|text| show(&text));
+        })?;
+        Ok(Self { link, _lines: None, texts })
     }
 
     /// Waits until the last texts are shown, at most [`WAIT`].

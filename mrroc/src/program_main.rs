@@ -71,20 +71,22 @@ pub fn run_program(file: &CellFile, options: &ProgramOptions, program: &Program)
     let (asked, motion) = (requests.clone(), Motion::on(options.run.bench));
     signals::on_ending_of_motion(motion.clone(), move |_| asked.stop())?;
     let mut bar = Bar::new(file, !options.json)?;
-    let console = options.operator.then(|| {
-        let bar = bar.bar.clone();
-        let show = move |text: &str| bar.suspend(|| streams::warn(format_args!("mrroc: {text}")));
-        Console::start(options.run.bench, &requests, show)
-    });
-    let console = console.transpose()?;
-    let operated = console.as_ref().map(|console| program.clone().with_operator(console.link.clone()));
-    let report = run(file, &options.run, &requests, operated.as_ref().unwrap_or(program), &mut |news| bar.show(news));
+    let shown = bar.bar.clone();
+    let show = move |text: &str| shown.suspend(|| streams::warn(format_args!("mrroc: {text}")));
+    let (console, program) = if options.operator {
+        let console = Console::start(options.run.bench, &requests, show)?;
+        let program = program.clone().with_operator(console.link.clone());
+        (console, program)
+    } else {
+        let console = Console::of_texts(&requests, show)?;
+        let program = program.clone().with_texts(console.link.clone());
+        (console, program)
+    };
+    let report = run(file, &options.run, &requests, &program, &mut |news| bar.show(news));
     motion.is_over();
     bar.bar.finish_and_clear();
-    drop(operated);
-    if let Some(console) = console {
-        console.finish();
-    }
+    drop(program);
+    console.finish();
     let report = report?;
     if let Err(error) = streams::answer(&report, options.json) {
         // A refusal is too late, because everything has moved.

@@ -32,10 +32,11 @@ use controller::generator::{Axes, PlannedStart};
 use drive::{AxisCommand, AxisState, BringUpError, DriveGroup, Fault, GroupCounters, Homing, Power, Setpoint};
 use servo::{PositionLoop, Servo, lockstep};
 
-use crate::cell::{CellFile, Path, instruction_path};
+use crate::cell::{CellFile, FileError, Path, instruction_path};
 use crate::demand::{self, Demand, RobotDemand};
+use crate::run::{returned, returned_after};
 use crate::tasks::{Equipment, Figures, Program, TaskError};
-use crate::{run::returned, setup, streams};
+use crate::{setup, streams};
 
 /// Greatest duration of a task.
 const LONGEST: Duration = Duration::from_secs(24 * 3600);
@@ -45,6 +46,12 @@ const BEGINNING: Duration = Duration::from_secs(600);
 
 /// The fault of an ideal drive: a generic error (CiA 402-2 §7.1).
 const FAULT: Fault = Fault::Drive { node: 0, code: 0x1000 };
+
+/// Time in one turn from which on a task blocks. A busy host interrupts a turn for shorter times.
+const BLOCKED: Duration = Duration::from_millis(500);
+
+/// What a rehearsal lacks, for refusals of tasks that may depend on it.
+const LACKS: &str = "in the rehearsal, which has ideal drives, no contact, and no objects before the sensors";
 
 /// Number of rehearsed start positions beside the home position.
 const STARTS: usize = 16;
@@ -62,6 +69,8 @@ pub struct Rehearsed {
     pub(crate) refused: Option<Demand>,
     /// The greatest torque of each axis beyond its limit.
     pub(crate) overloads: Vec<Demand>,
+    /// Time for which the task was seen in one turn.
+    pub(crate) blocked: Duration,
 }
 
 impl Rehearsed {
@@ -102,7 +111,23 @@ impl Course {
 pub fn rehearse(file: &CellFile, program: &Program) -> anyhow::Result<Rehearsed> {
     let (file, program, turns) = (Arc::new(file.clone()), program.clone(), Turns::default());
     let counted = turns.clone();
-    returned("rehearsal", &turns, move || rehearse_all(&file, &program, &counted))?
+    let work = move || rehearse_all(&file, &program, &counted);
+    let (rehearsed, blocked) = returned_after("rehearsal", &turns, work)?;
+    let rehearsed = Rehearsed { blocked, ..rehearsed? };
+    if let Some(told) = told_of_blocking(blocked) {
+        streams::warn(format_args!("mrroc: {told}"));
+    }
+    Ok(rehearsed)
+}
+
+/// The warning of a task that blocks for a time.
+pub(crate) fn told_of_blocking(blocked: Duration) -> Option<String> {
+    (blocked >= BLOCKED).then(|| {
+        format!(
+            "the task blocked for {blocked:.1?} in the rehearsal, between two awaits: for this time in a run, it takes no \
+             reading and begins no motion, and after 10 s all robots stop: await cell.sleep, or work on a thread"
+        )
+    })
 }
 
 fn rehearse_all(file: &Arc<CellFile>, program: &Program, turns: &Turns) -> anyhow::Result<Rehearsed> {
@@ -253,7 +278,8 @@ fn run(
         | Some(Ended::System(SystemError::Instruction(error))) => {
             return Err(refuse_instruction(file, program, &error, extent));
         }
-        Some(Ended::Task(Err(TaskError::Refused(error)))) => return Err(error),
+        Some(Ended::Task(Err(TaskError::Refused(error)))) if error.is::<FileError>() => return Err(error),
+        Some(Ended::Task(Err(TaskError::Refused(error)))) => return Err(anyhow!("{error:#} ({LACKS})")),
         Some(Ended::Task(Err(error))) => return Err(error.into()),
         Some(Ended::System(error)) => return Err(error.into()),
         None if extent == Extent::Task && !over.get() && !cancelled.load(Ordering::Relaxed) => {
@@ -264,7 +290,8 @@ fn run(
     }
     let (refused, overloads): (Vec<_>, Vec<_>) = demands.into_iter().map(RobotDemand::found).unzip();
     let (refused, overloads) = (refused.into_iter().flatten().next(), overloads.into_iter().flatten().collect());
-    Ok(Rehearsed { duration, instructions: ended.iter().sum(), moved, refused, overloads })
+    let (instructions, blocked) = (ended.iter().sum(), Duration::ZERO);
+    Ok(Rehearsed { duration, instructions, moved, refused, overloads, blocked })
 }
 
 /// The refusal of an instruction.
@@ -293,7 +320,7 @@ fn of_program(file: &CellFile, robot: usize, instruction: usize, why: String) ->
 fn of_task(file: &CellFile, robot: usize, instruction: usize, why: String) -> anyhow::Error {
     let robot = &file.cell.robot[robot];
     let (name, why, number) = (&robot.name, robot.naming_axes(why), instruction + 1);
-    anyhow!("robot {name}: instruction {number} of its task: {why}")
+    anyhow!("robot {name}: instruction {number} of its task: {why} ({LACKS})")
 }
 
 /// Ideal drives, which reach a commanded position at the SYNC that latches it.

@@ -5,10 +5,9 @@
 //! labels of the process give the true time of the spike.
 
 use std::fs::File;
-use std::io::{BufWriter, Write};
+use std::io::{self, BufWriter, Write};
 use std::time::Duration;
 
-use anyhow::{Context, anyhow};
 use can::Instant;
 use serde_json::{Value, json};
 use servo::thread::{Spike, Stamps};
@@ -24,17 +23,15 @@ const DEADLINES: u32 = 2;
 
 /// Writes the `spikes` of a thread of that name to a file that was opened before the run. A file that blocks is not
 /// waited for.
-pub fn write(file: File, thread: &'static str, spikes: Vec<Spike>) -> anyhow::Result<()> {
+pub fn write(file: File, thread: &'static str, spikes: Vec<Spike>) -> io::Result<()> {
     let write = move |mut file: BufWriter<File>| {
         serde_json::to_writer(&mut file, &trace(thread, &spikes))?;
         file.flush()
     };
     let file = BufWriter::new(file);
     let writing = Background::start("spikes", WRITE_WAIT, file, |_| {}, write);
-    match writing.context("no thread to write the spikes can be made")?.finish(WRITE_WAIT) {
-        Some(written) => written.context("the spikes cannot be written"),
-        None => Err(anyhow!("the spikes cannot be written in time")),
-    }
+    let late = || io::Error::new(io::ErrorKind::TimedOut, "the file was too slow");
+    writing?.finish(WRITE_WAIT).unwrap_or_else(|| Err(late()))
 }
 
 fn trace(thread: &str, spikes: &[Spike]) -> Value {
@@ -142,6 +139,12 @@ mod tests {
             let read: Value = serde_json::from_str(&text).unwrap();
             assert_eq!((read.as_f64().unwrap() * 1e3) as u64, nanos, "{text}");
         }
+    }
+
+    #[test]
+    fn a_full_disk_is_an_error_with_its_reason() {
+        let full = File::options().write(true).open("/dev/full").unwrap();
+        assert_eq!(write(full, "servo", Vec::new()).unwrap_err().kind(), io::ErrorKind::StorageFull);
     }
 
     /// A cycle of 1 ms whose phases take some µs each. `late` is its lateness, µs.

@@ -62,12 +62,14 @@ impl<'a> Stage<'a> {
 
 #[test]
 fn service_commands_on_emulated_drives() {
-    let bodies: [Body; 2] = [
+    let bodies: [Body; 3] = [
         ("a bus is looked at, asked and told", a_bus_is_looked_at_asked_and_told),
         (
             "a monitor shows what passes, and ends when it is told or nobody reads",
             a_monitor_shows_what_passes_and_ends_when_it_is_told_or_nobody_reads,
         ),
+        // The emulators of this body end when their interface goes down.
+        ("a monitor outlasts an interface that goes down", a_monitor_outlasts_an_interface_that_goes_down),
     ];
     let test = "service::service_commands_on_emulated_drives";
     bodies_on_vcan(test, &bodies, |interface, body| body(&Stage::on(interface)));
@@ -140,4 +142,26 @@ fn a_monitor_shows_what_passes_and_ends_when_it_is_told_or_nobody_reads(stage: &
     let ended = monitor.wait_with_output().unwrap();
     assert_eq!(ended.status.code(), Some(0), "{ended:?}");
     assert_eq!(ended.stderr, b"", "{ended:?}");
+}
+
+fn a_monitor_outlasts_an_interface_that_goes_down(stage: &Stage) {
+    let monitor = Running::start(["monitor", "--can", stage.interface]);
+    for state in ["down", "up"] {
+        clock::sleep_until(clock::now() + Duration::from_secs(2));
+        let set = Command::new("ip").args(["link", "set", stage.interface, state]).status().unwrap();
+        assert!(set.success(), "{state}");
+    }
+    // The monitor looks at the interface every 50 ms.
+    clock::sleep_until(clock::now() + Duration::from_secs(1));
+    assert!(Command::new("cansend").args([stage.interface, "123#11"]).status().unwrap().success());
+    clock::sleep_until(clock::now() + Duration::from_secs(1));
+    monitor.signal("INT");
+    let ended = monitor.output();
+    assert_eq!(ended.status.code(), Some(0), "{}", ended.stderr);
+    assert!(
+        ended.stderr.contains("the interface is down") && ended.stderr.contains("arrive again"),
+        "{}",
+        ended.stderr
+    );
+    assert!(ended.stdout.contains("123#11"), "{}", ended.stderr);
 }

@@ -20,6 +20,11 @@ pub fn since_boot() -> Instant {
     Instant::from_nanos(nanos(libc::CLOCK_BOOTTIME))
 }
 
+/// Nanoseconds since 1970 in UTC at `instant` of [`now`], as the clock of the host is set at present.
+pub fn utc_of(instant: Instant) -> u64 {
+    realtime_offset(0).saturating_add(instant.as_nanos())
+}
+
 /// Sleeps until `deadline`; returns at once if it has passed. Signals do not shorten it.
 #[expect(unsafe_code, reason = "libc has no safe interface to this call")]
 pub fn sleep_until(deadline: Instant) {
@@ -101,6 +106,14 @@ mod tests {
         assert!(now() >= first);
         assert!(first > Instant::ZERO);
         assert!(since_boot() >= first, "the time of suspensions is added");
+    }
+
+    #[test]
+    fn utc_of_an_instant_is_that_of_the_host() {
+        let host = || std::time::SystemTime::UNIX_EPOCH.elapsed().unwrap().as_nanos() as u64;
+        let (before, utc, after) = (host(), utc_of(now()), host());
+        assert!(utc.abs_diff(before) <= after - before + 1_000_000, "{before} {utc} {after}");
+        assert_eq!(utc_of(Instant::from_nanos(1000)).abs_diff(utc_of(Instant::ZERO) + 1000) / 1_000_000, 0);
     }
 
     #[test]

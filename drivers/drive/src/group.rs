@@ -2,7 +2,7 @@
 
 use std::task::Poll;
 
-use can::{Counters, Instant};
+use can::{ControllerState, Counters, Instant};
 use thiserror::Error;
 
 use crate::{AxisCommand, AxisState, BringUpError, Warnings};
@@ -88,6 +88,10 @@ pub struct EmergencyStop {
 pub struct GroupCounters {
     /// The port's own counters.
     pub port: Counters,
+    /// State of the port's controller.
+    pub state: ControllerState,
+    /// Nodes that sent anything during bring-up: bit *n* stands for node-ID *n*.
+    pub heard: u128,
     /// Set-points dropped because the port did not take them in their cycle, or because no drive of the bus answered.
     pub dropped_setpoints: u64,
     /// Cycles whose SYNC the port did not take, and therefore no set-point either.

@@ -70,6 +70,16 @@ pub enum WarningCause {
         /// The first object that differs.
         first: Object,
     },
+    /// The statusword of a drive has the bit `Statusword::WARNING`. The count says how often it was set.
+    #[error("the drive has a warning (statusword bit 7): read its error history, object 0x1003")]
+    Reported,
+    /// The statusword of a drive that is on, and does not search for its reference, has the bit
+    /// `Statusword::INTERNAL_LIMIT`. The count says how often it was set.
+    #[error(
+        "an internal limit of the drive is in force (statusword bit 11): check its limits of position, velocity and \
+         torque, and its limit switches"
+    )]
+    Limited,
 }
 
 impl WarningCause {
@@ -77,7 +87,12 @@ impl WarningCause {
     pub fn emergency(&self) -> Option<(u16, u8)> {
         match *self {
             Self::Emergency { code, register, .. } => Some((code, register)),
-            Self::Late { .. } | Self::Surplus | Self::SoftwareLimits { .. } | Self::Compared { .. } => None,
+            Self::Late { .. }
+            | Self::Surplus
+            | Self::Reported
+            | Self::Limited
+            | Self::SoftwareLimits { .. }
+            | Self::Compared { .. } => None,
         }
     }
 
@@ -89,12 +104,16 @@ impl WarningCause {
             }
             (Self::Late { periods, .. }, Self::Late { periods: other, .. }) => periods == other,
             (Self::Surplus, Self::Surplus)
+            | (Self::Reported, Self::Reported)
+            | (Self::Limited, Self::Limited)
             | (Self::SoftwareLimits { .. }, Self::SoftwareLimits { .. })
             | (Self::Compared { .. }, Self::Compared { .. }) => true,
             (
                 Self::Emergency { .. }
                 | Self::Late { .. }
                 | Self::Surplus
+                | Self::Reported
+                | Self::Limited
                 | Self::SoftwareLimits { .. }
                 | Self::Compared { .. },
                 _,

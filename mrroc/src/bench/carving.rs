@@ -6,36 +6,38 @@
 
 use std::fs::File;
 use std::io::{self, BufWriter, Write};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use anyhow::bail;
 use hil::scene::{HeightField, WorkpieceProbe};
 
 use crate::cell::CellFile;
 use crate::outputs::Outputs;
+use crate::row_file::{FileName, IncompleteFile};
 
 /// Files of the pictures of all workpieces, which are written after the run.
-pub struct Carving(Vec<(WorkpieceProbe, File)>);
+pub struct Carving(Vec<(WorkpieceProbe, (PathBuf, File))>);
 
 impl Carving {
     /// The pictures of these workpieces, in the same order.
-    pub fn new(workpieces: &[WorkpieceProbe], files: Vec<File>) -> Self {
+    pub fn new(workpieces: &[WorkpieceProbe], files: Vec<(PathBuf, File)>) -> Self {
         Self(workpieces.iter().cloned().zip(files).collect())
     }
 
-    /// Writes the pictures of the present height fields.
-    pub fn write(self) -> io::Result<()> {
-        for (workpiece, file) in self.0 {
+    /// Writes the pictures of the present height fields. Returns the reports of files that cannot be written.
+    pub fn write(self) -> Vec<IncompleteFile> {
+        let failed = self.0.into_iter().filter_map(|(workpiece, (path, file))| {
             let mut sink = BufWriter::new(file);
-            write_picture(&mut sink, &workpiece.field())?;
-            sink.flush()?;
-        }
-        Ok(())
+            let written = write_picture(&mut sink, &workpiece.field()).and_then(|()| sink.flush());
+            let name = FileName::new("--carved", &path, "picture");
+            written.err().map(|error| IncompleteFile { lost: 1, ..name.fails(&error) })
+        });
+        failed.collect()
     }
 }
 
 /// Opens a file for each workpiece of a cell in `directory`, in the order of the cell file.
-pub fn open(outputs: &mut Outputs, file: &CellFile, directory: Option<&Path>) -> anyhow::Result<Vec<File>> {
+pub fn open(outputs: &mut Outputs, file: &CellFile, directory: Option<&Path>) -> anyhow::Result<Vec<(PathBuf, File)>> {
     let Some(directory) = directory else {
         return Ok(Vec::new());
     };
@@ -43,7 +45,12 @@ pub fn open(outputs: &mut Outputs, file: &CellFile, directory: Option<&Path>) ->
     if workpieces.peek().is_none() {
         bail!("--carved needs a workpiece, and the scene of the cell has none: add a table scene.workpiece");
     }
-    workpieces.map(|it| outputs.open_in("--carved", directory, &format!("{}.pgm", it.name))).collect()
+    let mut opened = Vec::new();
+    for workpiece in workpieces {
+        let name = format!("{}.pgm", workpiece.name);
+        opened.push((directory.join(&name), outputs.open_in("--carved", directory, &name)?));
+    }
+    Ok(opened)
 }
 
 /// Greatest grey value.

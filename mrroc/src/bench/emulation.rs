@@ -267,11 +267,6 @@ impl Emulation {
     pub fn workpieces(&self) -> &[WorkpieceProbe] {
         &self.truth.workpieces
     }
-
-    /// Completes the file of the truth, if there is one.
-    pub fn finish(self) -> io::Result<()> {
-        self.log.map_or(Ok(()), TruthLog::finish)
-    }
 }
 
 /// A node that sends a frame of eight bytes every [`CHATTER`] and ignores received frames.

@@ -17,6 +17,7 @@ mod matrices;
 pub mod plants;
 mod random;
 pub mod scene;
+pub mod silence;
 pub(crate) mod traffic;
 pub mod truth;
 

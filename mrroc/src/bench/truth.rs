@@ -1,69 +1,76 @@
 //! The file of the truth of an emulated scene.
 
+use std::fmt::Write as _;
 use std::fs::File;
-use std::io::{self, BufWriter, Write};
+use std::io::{self, Write};
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 
 use can::Instant;
 
 use crate::bench::scene::SceneTruth;
 use crate::cell::CellFile;
+use crate::row_file::{FileName, IncompleteFile, RowFile};
 
-/// Writes true places of bars and true wrenches of grippers as CSV, one line per time.
+/// Writes true places of bars and true wrenches of grippers as CSV, one line per time, until the log is dropped.
 pub struct TruthLog {
-    sink: BufWriter<File>,
-    failed: Option<io::Error>,
+    /// `None` once the file is complete.
+    rows: Option<RowFile>,
+    done: SyncSender<Option<IncompleteFile>>,
 }
 
 impl TruthLog {
-    /// Begins with the names of the columns.
-    pub fn new(sink: File, file: &CellFile) -> io::Result<Self> {
-        let mut sink = BufWriter::new(sink);
-        write!(sink, "time_s")?;
+    /// Begins with the names of the columns. The receiver gets the report of the file if the file is incomplete.
+    pub(crate) fn new(
+        name: FileName,
+        sink: File,
+        file: &CellFile,
+    ) -> io::Result<(Self, Receiver<Option<IncompleteFile>>)> {
+        let mut head = "time_s".to_owned();
         if let Some(scene) = &file.cell.scene {
-            for bar in &scene.bar {
-                let name = &bar.name;
-                for column in ["x_m", "y_m", "z_m", "qx", "qy", "qz", "qw"] {
-                    write!(sink, ",{name}.{column}")?;
-                }
-            }
-            for gripper in &scene.gripper {
-                let name = &gripper.robot;
-                for column in ["fx_n", "fy_n", "fz_n", "tx_nm", "ty_nm", "tz_nm"] {
-                    write!(sink, ",{name}.{column}")?;
-                }
+            let bars = scene.bar.iter().map(|bar| (&bar.name, &["x_m", "y_m", "z_m", "qx", "qy", "qz", "qw"][..]));
+            let columns = &["fx_n", "fy_n", "fz_n", "tx_nm", "ty_nm", "tz_nm"][..];
+            let grippers = scene.gripper.iter().map(|gripper| (&gripper.robot, columns));
+            for (name, columns) in bars.chain(grippers) {
+                // Writing to a text cannot fail.
+                columns.iter().for_each(|column| _ = write!(head, ",{name}.{column}"));
             }
         }
-        writeln!(sink)?;
-        Ok(Self { sink, failed: None })
+        head.push('\n');
+        let (done, written) = sync_channel(1);
+        Ok((Self { rows: Some(RowFile::new(name, sink, &head)?), done }, written))
     }
 
     /// Writes the present state. After a first failure, nothing more is written.
     pub fn write(&mut self, now: Instant, truth: &SceneTruth) {
-        if self.failed.is_none() {
-            self.failed = self.line(now, truth).err();
+        if let Some(rows) = &mut self.rows {
+            rows.row(now, |row| line(row, now, truth));
         }
     }
+}
 
-    /// Completes the file.
-    pub fn finish(mut self) -> io::Result<()> {
-        self.failed.take().map_or_else(|| self.sink.flush(), Err)
+impl Drop for TruthLog {
+    fn drop(&mut self) {
+        if let Some(rows) = self.rows.take() {
+            // The run may have ended without waiting.
+            let _ = self.done.try_send(rows.finish(0));
+        }
     }
+}
 
-    fn line(&mut self, now: Instant, truth: &SceneTruth) -> io::Result<()> {
-        write!(self.sink, "{:.6}", now.as_nanos() as f64 * 1e-9)?;
-        for bar in &truth.bars {
-            let pose = bar.state().pose;
-            for value in pose.translation.vector.iter().chain(pose.rotation.coords.iter()) {
-                write!(self.sink, ",{value:.9}")?;
-            }
+fn line(row: &mut Vec<u8>, now: Instant, truth: &SceneTruth) -> io::Result<()> {
+    write!(row, "{:.6}", now.as_nanos() as f64 * 1e-9)?;
+    for bar in &truth.bars {
+        let pose = bar.state().pose;
+        for value in pose.translation.vector.iter().chain(pose.rotation.coords.iter()) {
+            write!(row, ",{value:.9}")?;
         }
-        for grip in &truth.grips {
-            match grip.last() {
-                Some(wrench) => wrench.iter().try_for_each(|value| write!(self.sink, ",{value:.6}"))?,
-                // An open gripper.
-                None => write!(self.sink, ",,,,,,")?,
-            }
-        }
-        writeln!(self.sink)
     }
+    for grip in &truth.grips {
+        match grip.last() {
+            Some(wrench) => wrench.iter().try_for_each(|value| write!(row, ",{value:.6}"))?,
+            // An open gripper.
+            None => write!(row, ",,,,,,")?,
+        }
+    }
+    Ok(())
 }

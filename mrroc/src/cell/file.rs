@@ -90,9 +90,15 @@ impl CellFile {
         Self { inputs: self.inputs.of_cell(), ..self.clone() }
     }
 
-    /// The parameters of the task: the table `task`, empty where absent.
+    /// The parameters of the task: the table `task`, empty where absent, without the tables of tasks of the command.
     pub fn parameters<T: DeserializeOwned>(&self) -> Result<T, FileError> {
-        read::parameters(&self.text).map_err(|error| FileError { path: self.path.clone(), error })
+        self.parameters_of(&[])
+    }
+
+    /// The parameters of a task of the command: the first of the tables `task.NAME` that the file has, or else the table
+    /// `task`.
+    pub(crate) fn parameters_of<T: DeserializeOwned>(&self, names: &[&str]) -> Result<T, FileError> {
+        read::parameters(&self.text, names).map_err(|error| FileError { path: self.path.clone(), error })
     }
 
     /// The device configuration of axis `axis` of robot `robot`, if it has one.

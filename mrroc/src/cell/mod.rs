@@ -136,7 +136,8 @@ pub struct Cell {
     pub scene: Option<EmulatedScene>,
     /// The robots.
     pub robot: Vec<Robot>,
-    /// Parameters of the task, with keys of its own. A program reads the table by `Cell::parameters`.
+    /// Parameters of the task, with keys of its own. A program reads the table by `Cell::parameters`, without the tables
+    /// `task.teach` and `task.replay`, which belong to the tasks of these names.
     #[serde(default, skip_serializing_if = "toml::Table::is_empty")]
     #[cfg_attr(feature = "schema", schemars(with = "std::collections::BTreeMap<String, serde_json::Value>"))]
     pub task: toml::Table,

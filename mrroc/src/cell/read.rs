@@ -68,16 +68,40 @@ pub(crate) fn from_text<T: DeserializeOwned>(text: &str) -> Result<T, CellError>
     read(text, &document)
 }
 
-/// Reads the table `task` of a document, empty where absent.
-pub(super) fn parameters<T: DeserializeOwned>(text: &str) -> Result<T, CellError> {
-    let document = parse(text)?;
+/// Tables in the table `task` that belong to tasks of the command.
+const NAMED: [&str; 2] = ["teach", "replay"];
+
+/// Reads the first of the tables `task.NAME` that the document has, for `names` in their order. Without any, reads the
+/// table `task`, empty where absent, without the tables that belong to tasks of the command.
+pub(super) fn parameters<T: DeserializeOwned>(text: &str, names: &[&str]) -> Result<T, CellError> {
+    let mut document = parse(text)?;
+    for name in names {
+        let Some(table) = document.get(TASK).and_then(|task| task.get_ref().get(*name)) else {
+            continue;
+        };
+        let value = Value::of(table, 0);
+        let refused = |refusal: ValueError| refusal.from(value.offset).below(step(name)).below(step(TASK)).of(text);
+        return T::deserialize(value).map_err(refused);
+    }
+    if let DeValue::Table(cell) = &mut document
+        && let Some(task) = cell.get_mut(TASK)
+        && let DeValue::Table(task) = task.get_mut()
+    {
+        NAMED.iter().for_each(|name| drop(task.remove(*name)));
+    }
     let empty = DeValue::Table(DeTable::new());
     let value = match document.get(TASK) {
         Some(table) => Value::of(table, 0),
         None => Value { value: &empty, offset: 0 },
     };
     let read = T::deserialize(value).map_err(|refusal| refusal.from(value.offset).below(step(TASK)));
-    read.map_err(|refusal| refusal.of(text))
+    read.map_err(|refusal| {
+        let mut error = refusal.of(text);
+        if let [name, ..] = names {
+            error.problem += &format!("; or give the table {TASK}.{name}");
+        }
+        error
+    })
 }
 
 #[derive(Debug, Error)]

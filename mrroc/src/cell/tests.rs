@@ -45,7 +45,7 @@ fn parameters_of_a_task_are_read_or_refused_with_line_and_key() {
     let read = |table: &str| {
         let text = format!("{cell}{table}");
         Cell::parse(&text).unwrap();
-        read::parameters::<Parameters>(&text)
+        read::parameters::<Parameters>(&text, &[])
     };
     let full = read("[task]\nparts = 3\nplaces = [[0.5, 1], [0.25, -0.5]]");
     assert_eq!(full, Ok(Parameters { parts: 3, places: vec![[0.5, 1.0], [0.25, -0.5]] }));
@@ -59,6 +59,43 @@ fn parameters_of_a_task_are_read_or_refused_with_line_and_key() {
         let expected = CellError { line, key: key.to_owned(), problem: problem.to_owned() };
         assert_eq!(read(table), Err(expected), "{table}");
     }
+}
+
+#[test]
+fn parameters_of_a_named_task_are_its_own_table_or_those_of_the_file() {
+    #[derive(Debug, Deserialize, PartialEq)]
+    #[serde(deny_unknown_fields)]
+    struct Parts {
+        parts: u8,
+    }
+    let (cell, _) = IRB6.split_once("[task]").unwrap();
+    let read = |table: &str, names: &[&str]| {
+        let text = format!("{cell}{table}");
+        Cell::parse(&text).unwrap();
+        read::parameters::<Parts>(&text, names).map(|it| it.parts).map_err(|it| format!("{}: {}", it.key, it.problem))
+    };
+    let both = "[task]\nparts = 1\n[task.teach]\nparts = 2\n";
+    assert_eq!(read(both, &[]), Ok(1));
+    assert_eq!(read(both, &["teach"]), Ok(2));
+    assert_eq!(read(both, &["replay", "teach"]), Ok(2));
+    assert_eq!(read("[task]\nparts = 3\n", &["teach"]), Ok(3));
+    for (table, problem) in [
+        ("[task]\nattempts = 4\n", "task.attempts: is an unknown key, must be \"parts\"; or give the table task.teach"),
+        ("", "task.parts: is missing; or give the table task.teach"),
+        ("[task.teach]\npart = 2\n", "task.teach.part: is an unknown key, must be \"parts\""),
+    ] {
+        assert_eq!(read(table, &["teach"]), Err(problem.to_owned()));
+    }
+}
+
+#[test]
+fn the_task_teach_finds_its_parameters_in_the_first_cell() {
+    let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../cells/irb6.toml");
+    let file = CellFile::read(&path).unwrap();
+    let program = crate::tasks::CarriedTask::Teach.program();
+    let rehearsed = crate::rehearsal::rehearse(&file, &program);
+    let said = rehearsed.err().map(|error| format!("{error:#}")).unwrap_or_default();
+    assert!(said.contains("--operator"), "{said}");
 }
 
 #[test]

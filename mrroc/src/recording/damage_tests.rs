@@ -30,14 +30,19 @@ pub(crate) fn short_cell(directory: &Path, has_program: bool) -> CellFile {
     if !has_program {
         robot.program.clear();
     }
+    near_home(robot);
+    let path = directory.join("irb6.toml");
+    fs::write(&path, toml::to_string(&cell).unwrap()).unwrap();
+    CellFile::read(&path).unwrap()
+}
+
+/// Starts a robot close to its switches.
+pub(crate) fn near_home(robot: &mut crate::cell::Robot) {
     let home = robot.arm().unwrap().robot().home();
     for (axis, home) in robot.axis.iter_mut().zip(&*home) {
         axis.emulator.start = Some(home - 2.5);
         axis.homing.order = 0;
     }
-    let path = directory.join("irb6.toml");
-    fs::write(&path, toml::to_string(&cell).unwrap()).unwrap();
-    CellFile::read(&path).unwrap()
 }
 
 /// A recording in lockstep of an IRb-6 that homes, and its directory.

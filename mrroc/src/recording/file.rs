@@ -28,8 +28,17 @@ const CHUNK: u64 = 1 << 20;
 /// Number of the first channel in a file.
 pub(super) const FIRST: u16 = 1;
 
-/// Profile of the files, and version of the messages.
-pub(super) const PROFILE: &str = "mrroc-2";
+/// Profile of the files. MCAP leaves names that begin with `x-` to applications.
+pub(super) const PROFILE: &str = "x-mrroc";
+
+/// Key of the version of the messages in the metadata, and this version.
+pub(super) const VERSION: (&str, &str) = ("messages", "2");
+
+/// Key of the UTC of the recording's zero in the metadata.
+pub(super) const UTC: &str = "utc_of_zero";
+
+/// Profile of earlier files with the same messages, whose metadata have no version.
+pub(super) const PROFILE_WITHOUT_VERSION: &str = "mrroc-2";
 
 /// Profile of earlier files with the same messages, which do not count them.
 pub(super) const PROFILE_WITHOUT_END: &str = "mrroc-1";
@@ -46,8 +55,26 @@ pub(super) struct Channel {
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Facts {
     pub(super) texts: BTreeMap<String, String>,
+    /// UTC of the zero of the recording's times, ns since 1970; `None` in lockstep, whose times are those of no clock.
+    pub(super) utc_of_zero: Option<u64>,
     /// Files by path.
     pub(super) files: Vec<(String, Vec<u8>)>,
+}
+
+/// Date and time of day of `nanos` since 1970 in UTC, as in RFC 3339.
+fn utc_text(nanos: u64) -> String {
+    let (seconds, nanos) = (nanos / 1_000_000_000, nanos % 1_000_000_000);
+    let (days, second) = (seconds / 86_400, seconds % 86_400);
+    // Years begin in March, so that the leap day is the last day of its year. Day 0 is 1 March of year 0.
+    let days = days + 719_468;
+    let (era, day) = (days / 146_097, days % 146_097);
+    let year = (day - day / 1_460 + day / 36_524 - day / 146_096) / 365;
+    let day = day - (365 * year + year / 4 - year / 100);
+    let month = (5 * day + 2) / 153;
+    let day = day - (153 * month + 2) / 5 + 1;
+    let (year, month) = if month < 10 { (year, month + 3) } else { (year + 1, month - 9) };
+    let (year, hour, minute, second) = (year + 400 * era, second / 3600, second / 60 % 60, second % 60);
+    format!("{year:04}-{month:02}-{day:02}T{hour:02}:{minute:02}:{second:02}.{nanos:09}Z")
 }
 
 /// A file that counts the bytes written, and synchronises the data with the disk when it is flushed.
@@ -84,11 +111,14 @@ impl McapFile {
             .profile(PROFILE)
             .library(concat!("mrroc ", env!("CARGO_PKG_VERSION")));
         let mut writer = options.create(NoSeek::new(Synced(file)))?;
-        writer.write_metadata(&Metadata { name: METADATA.to_owned(), metadata: facts.texts.clone() })?;
+        let mut metadata = facts.texts.clone();
+        metadata.insert(VERSION.0.to_owned(), VERSION.1.to_owned());
+        metadata.extend(facts.utc_of_zero.map(|nanos| (UTC.to_owned(), utc_text(nanos))));
+        writer.write_metadata(&Metadata { name: METADATA.to_owned(), metadata })?;
         for (name, data) in &facts.files {
             writer.attach(&mcap::Attachment {
                 log_time: 0,
-                create_time: 0,
+                create_time: facts.utc_of_zero.unwrap_or(0),
                 name: name.clone(),
                 media_type: "text/plain".to_owned(),
                 data: Cow::Borrowed(data),
@@ -127,5 +157,57 @@ impl McapFile {
         self.writer.write_metadata(&Metadata { name: END.to_owned(), metadata })?;
         self.writer.finish()?;
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fs;
+
+    use mcap::read::LinearReader;
+    use mcap::records::Record;
+
+    use super::*;
+
+    #[test]
+    fn a_time_is_written_as_date_and_time_of_day() {
+        for (nanos, text) in [
+            (0, "1970-01-01T00:00:00.000000000Z"),
+            (951_782_400_000_000_000, "2000-02-29T00:00:00.000000000Z"),
+            (1_795_242_630_522_011_007, "2026-11-21T06:30:30.522011007Z"),
+            (4_107_542_399_999_999_999, "2100-02-28T23:59:59.999999999Z"),
+            (4_107_542_400_000_000_000, "2100-03-01T00:00:00.000000000Z"),
+        ] {
+            assert_eq!(utc_text(nanos), text);
+        }
+    }
+
+    /// Profile, metadata, and create time of the attachment of a file without messages.
+    fn written(utc_of_zero: Option<u64>) -> (String, BTreeMap<String, String>, u64) {
+        let texts = BTreeMap::from([("bench".to_owned(), "card".to_owned())]);
+        let facts = Facts { texts, utc_of_zero, files: vec![("cell.toml".to_owned(), b"name".to_vec())] };
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("r.mcap");
+        McapFile::new(File::create(&path).unwrap(), &facts, &[]).unwrap().finish(true).unwrap();
+        let (mut profile, mut metadata, mut created) = (String::new(), BTreeMap::new(), None);
+        for record in LinearReader::new(&fs::read(path).unwrap()).unwrap() {
+            match record.unwrap() {
+                Record::Header(header) => profile = header.profile,
+                Record::Metadata(found) if found.name == METADATA => metadata = found.metadata,
+                Record::Attachment { header, .. } => created = Some(header.create_time),
+                _ => {}
+            }
+        }
+        (profile, metadata, created.unwrap())
+    }
+
+    #[test]
+    fn a_recording_has_the_utc_of_its_zero_and_a_recording_in_lockstep_has_no_time_of_day() {
+        let (profile, metadata, created) = written(Some(1_795_242_630_522_011_007));
+        assert_eq!((profile.as_str(), created), ("x-mrroc", 1_795_242_630_522_011_007));
+        assert_eq!(metadata["utc_of_zero"], "2026-11-21T06:30:30.522011007Z");
+        assert_eq!(metadata["messages"], "2");
+        let (profile, metadata, created) = written(None);
+        assert_eq!((profile.as_str(), created, metadata.get("utc_of_zero")), ("x-mrroc", 0, None));
     }
 }

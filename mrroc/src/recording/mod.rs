@@ -363,8 +363,8 @@ pub(crate) fn flight_directory(file: &CellFile, options: &RunOptions) -> anyhow:
 }
 
 impl Facts {
-    /// The version, the bench, and the files that a run reads.
-    pub(crate) fn of_run(file: &CellFile, bench: BenchKind) -> anyhow::Result<Self> {
+    /// The version, the bench, the UTC of the zero of the run's times, and the files that a run reads.
+    pub(crate) fn of_run(file: &CellFile, bench: BenchKind, utc_of_zero: Option<u64>) -> anyhow::Result<Self> {
         let directory = file.path.parent().unwrap_or(Path::new(""));
         let name = |path: &Path| path.strip_prefix(directory).unwrap_or(path).to_string_lossy().into_owned();
         let mut files = vec![(name(&file.path), file.text.clone().into_bytes())];
@@ -373,7 +373,8 @@ impl Facts {
             files.push((name(path), bytes.to_vec()));
         }
         let texts = [("version", env!("CARGO_PKG_VERSION")), ("bench", bench.name()), ("cell", &file.cell.name)];
-        Ok(Self { texts: texts.map(|(key, text)| (key.to_owned(), text.to_owned())).into(), files })
+        let texts = texts.map(|(key, text)| (key.to_owned(), text.to_owned())).into();
+        Ok(Self { texts, utc_of_zero, files })
     }
 }
 

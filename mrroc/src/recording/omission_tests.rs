@@ -188,6 +188,29 @@ fn a_recording_that_was_never_counted_is_cut_and_what_follows_its_end_is_damage(
 }
 
 #[test]
+fn recordings_of_earlier_versions_are_replayed_and_those_of_later_ones_are_refused() {
+    let (_directory, recording) = recorded_with(None);
+    let bytes = fs::read(&recording).unwrap();
+    let replaced = |from: &str, to: &str| {
+        let mut changed = bytes.clone();
+        let place = changed.windows(from.len()).position(|it| it == from.as_bytes()).unwrap();
+        changed[place..place + to.len()].copy_from_slice(to.as_bytes());
+        // The checksums of the metadata and of all bytes are left out.
+        let end = records(&changed).into_iter().find(|(opcode, _)| *opcode == op::DATA_END).unwrap().1;
+        changed[end.start + 9..end.end].fill(0);
+        changed
+    };
+    let replay = replayed(&recording, &replaced(PROFILE, file::PROFILE_WITHOUT_VERSION)).unwrap();
+    assert!(replay.is_equal() && replay.damaged.is_none() && replay.cut.is_none(), "{replay}");
+    let (key, _) = file::VERSION;
+    let with_length = |version: &str| format!("{key}\u{1}\0\0\0{version}");
+    let refusal = replayed(&recording, &replaced(&with_length("2"), &with_length("3"))).unwrap_err();
+    assert!(format!("{refusal:#}").contains("the version of the messages is 3"), "{refusal:#}");
+    let refusal = replayed(&recording, &replaced(PROFILE, "x-other")).unwrap_err();
+    assert!(format!("{refusal:#}").contains("x-other"), "{refusal:#}");
+}
+
+#[test]
 fn a_count_in_the_summary_that_differs_is_damage() {
     let (_directory, recording) = recorded_with(None);
     let bytes = fs::read(&recording).unwrap();

@@ -15,7 +15,7 @@ use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
 use mcap::{MAGIC, McapError, parse_record};
 use serde::Serialize;
 
-use super::file::{END, ENDED, FIRST, Facts, METADATA, PROFILE, PROFILE_WITHOUT_END};
+use super::file::{END, ENDED, FIRST, Facts, METADATA, PROFILE, PROFILE_WITHOUT_END, PROFILE_WITHOUT_VERSION, VERSION};
 use super::input::Input;
 use crate::input;
 
@@ -264,7 +264,7 @@ impl Reading {
             Record::DataEnd(_) => self.data_end()?,
             Record::MessageIndex(_) => {}
             Record::Header(header) => self.take_profile(header.profile)?,
-            Record::Metadata(metadata) if metadata.name == METADATA => self.facts.texts = metadata.metadata,
+            Record::Metadata(metadata) if metadata.name == METADATA => self.take_facts(metadata.metadata)?,
             // A tool that writes the file again may write the counts before the last chunk.
             Record::Metadata(metadata) if metadata.name == END => self.mark = Some(metadata.metadata),
             Record::Attachment { header, data, .. } => {
@@ -291,11 +291,23 @@ impl Reading {
     }
 
     fn take_profile(&mut self, profile: String) -> Result<(), Failure> {
-        if profile != PROFILE && profile != PROFILE_WITHOUT_END {
+        if ![PROFILE, PROFILE_WITHOUT_VERSION, PROFILE_WITHOUT_END].contains(&profile.as_str()) {
             let error = anyhow!("the profile is {profile:?}, and this version reads {PROFILE:?}");
             return Err(Failure::Refused(error));
         }
         self.profile = Some(profile);
+        Ok(())
+    }
+
+    /// Takes the metadata of the recording. Its messages must be of the version that this version of mrroc reads.
+    fn take_facts(&mut self, texts: BTreeMap<String, String>) -> Result<(), Failure> {
+        let version = texts.get(VERSION.0).map_or("none", String::as_str);
+        if self.profile.as_deref() == Some(PROFILE) && version != VERSION.1 {
+            let read = VERSION.1;
+            let error = anyhow!("the version of the messages is {version}, and this version of mrroc reads {read}");
+            return Err(Failure::Refused(error));
+        }
+        self.facts.texts = texts;
         Ok(())
     }
 

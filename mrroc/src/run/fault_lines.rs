@@ -1,6 +1,7 @@
 //! Every fault as the line of a report: unique, with its place, with what to check next, and short.
 
 use std::collections::BTreeSet;
+use std::fmt::Display;
 
 use canopen::Object;
 use canopen::cia402::ModeOfOperation;

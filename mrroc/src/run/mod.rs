@@ -33,6 +33,7 @@ mod fault_lines;
 #[cfg(feature = "recording")]
 mod file_tests;
 mod files;
+mod not_up;
 mod options;
 mod page_file;
 #[cfg(test)]
@@ -51,7 +52,6 @@ mod watch;
 mod worker;
 
 use std::cell::Cell as Shared;
-use std::fmt::Display;
 use std::mem::take;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -61,7 +61,6 @@ use std::time::Duration;
 
 use anyhow::{Context, anyhow};
 use can::{Instant, clock};
-use drive::BringUpError;
 use servo::thread::{self, Finished};
 use servo::{NotUp, Servo, Timing, lockstep};
 
@@ -71,10 +70,10 @@ use crate::bench::clockwork;
 use crate::bench::emulation::Emulation;
 use crate::bench::truth::TruthLog;
 use crate::bench::{Bench, BenchKind};
-use crate::cell::{CellFile, printable};
+use crate::cell::CellFile;
 use crate::guardian::{Guardian, GuardianFault, Pulse};
 use crate::outputs::Outputs;
-use crate::report::{FaultReport, RunEnd, RunOutcome, RunReport, Tracks};
+use crate::report::{FaultReport, IncompleteFile, RunEnd, RunOutcome, RunReport, Tracks};
 use crate::scenario::{Scenario, ScenarioProbe};
 use crate::tasks::Program;
 use crate::trace::{AxisLog, FrameLog, StepFile, log_names};
@@ -86,6 +85,7 @@ use files::{Logs, Writing, Written, begun, named};
 
 use descriptions::{of_guardian, of_power, of_servo_hang, of_servo_thread, servo_faults};
 pub use ending::{Requests, Turning, stopped_once};
+pub use not_up::why_not_up;
 pub use options::RunOptions;
 use page_file::PageFile;
 use recorded::Recording;
@@ -93,9 +93,9 @@ pub use running_task::Progress;
 pub(crate) use running_task::RunningTask;
 use running_task::{Rehearsals, TaskErrors};
 use tick::tick;
-pub(crate) use watch::returned;
 pub use watch::{ServoHang, hang_limit};
 use watch::{Watch, watched};
+pub(crate) use watch::{returned, returned_after};
 
 /// Least `--speed`, percent: at lower speeds, a program of minutes lasts for days.
 const LEAST_SPEED: f64 = 0.1;
@@ -192,7 +192,13 @@ pub fn run(
     let axes = record.map(|sink| AxisLog::new(named("--record", &options.record, "rows"), sink, file)).transpose();
     let names = log_names(&bench.interfaces)?;
     let cell = Arc::new(file.clone());
-    let recorder = recording.begin(&cell, (options, requests), &mut servo, (&devices, &sensors), &names);
+    let zero = match options.bench {
+        BenchKind::Lockstep => None,
+        BenchKind::Emulated => Some(clock::now()),
+        BenchKind::Vcan | BenchKind::Card => Some(Instant::ZERO),
+    };
+    let recorder =
+        recording.begin(&cell, (options, requests, zero.map(clock::utc_of)), &mut servo, (&devices, &sensors), &names);
     let recorder = recorder.context("--record")?;
     let frames = trace.map(|sink| FrameLog::new(named("--trace", &options.trace, "frames"), sink, names)).transpose();
     let mut task = RunningTask::new(
@@ -216,8 +222,12 @@ pub fn run(
         steps: steps.with_context(|| begun("--steps", &options.steps))?,
         frames: frames.with_context(|| begun("--trace", &options.trace))?,
     };
+    let mut truth_written = None;
     if let (Some(sink), Some(emulation)) = (truth, &mut bench.emulation) {
-        emulation.log_truth(TruthLog::new(sink, file).context("--truth")?);
+        let log = TruthLog::new(named("--truth", &options.truth, "rows"), sink, file);
+        let (log, written) = log.with_context(|| begun("--truth", &options.truth))?;
+        emulation.log_truth(log);
+        truth_written = Some(written);
     }
     let carving = bench.emulation.as_ref().map(|emulation| Carving::new(emulation.workpieces(), carved));
     let figures = task.figures();
@@ -238,7 +248,7 @@ pub fn run(
                 }
                 in_lockstep(servo, task, logs, buses, &stop, tell)
             };
-            watched("lockstep", &turns, progress, work)??
+            watched("lockstep", &turns, progress, work)?.0?
         }
         _ => by_the_clock(file, servo, task, logs, (buses, bench.guardian), requests, progress)?,
     };
@@ -261,12 +271,12 @@ pub fn run(
     // Every instruction that a fault refuses names the fault again.
     end.recovered.dedup_by(|next, first| first.number.is_some() && first.number == next.number && first.is_same(next));
     if let Some(Err(error)) = spikes.map(|file| spikes::write(file, "servo", take(&mut end.spikes))) {
-        end.faults.push(FaultReport::of_run(error));
+        let name = named("--spikes", &options.spikes, "trace");
+        end.incomplete.push(IncompleteFile { lost: 1, ..name.fails(&error) });
     }
+    end.incomplete.extend(truth_written.and_then(|written| written.try_recv().ok().flatten()));
     // A servo thread that hangs in the emulation may hold the workpieces.
-    if let Some(Err(error)) = carving.filter(|_| end.servo.is_ok()).map(Carving::write) {
-        end.faults.push(FaultReport::of_run(format_args!("--carved: the pictures cannot be written: {error}")));
-    }
+    end.incomplete.extend(carving.filter(|_| end.servo.is_ok()).map(Carving::write).unwrap_or_default());
     let outcome = match (interrupted, end.faults.is_empty()) {
         (_, false) => RunOutcome::Faulted,
         (true, true) => RunOutcome::Stopped,
@@ -322,34 +332,7 @@ fn not_up(
             cell_time,
         });
     }
-    Err(why_not_up(file, why))
-}
-
-/// Why the drives of a cell did not come up, in the words of the cell.
-pub fn why_not_up(file: &CellFile, why: NotUp) -> anyhow::Error {
-    let NotUp::Group(bus, error) = why else {
-        return anyhow!("stopped on request");
-    };
-    if let Some(sensor) = file.cell.sensor_of_group(bus) {
-        let cause: &dyn Display = if let BringUpError::WrenchLine { error } = &error { error } else { &error };
-        return anyhow!("force sensor {}, line {}: {cause}", sensor.name, printable(sensor.tty()));
-    }
-    if let Some(matrix) = file.cell.matrix_of_group(bus) {
-        let cause: &dyn Display = if let BringUpError::Ultrasonic { error } = &error { error } else { &error };
-        return anyhow!("ultrasonic matrix {}, line {}: {cause}", matrix.name, printable(&matrix.line));
-    }
-    let axis = file.cell.axes_on(bus).enumerate().find(|&(index, (robot, axis))| match error.line() {
-        Some(line) => index == line,
-        None => error.node() == Some(file.cell.robot[robot].axis[axis].node),
-    });
-    let axis = axis.map(|(_, (robot, axis))| format!(", axis {}", file.axis_name(robot, axis)));
-    let mut io = file.cell.io_on(bus).map(|node| &file.cell.io[node]);
-    let io = io.find(|io| error.node() == Some(io.node)).map(|io| format!(", I/O node {}", io.name));
-    let mut sensors = file.cell.sensors_on(bus);
-    let sensor = sensors.find(|&sensor| error.node().is_some() && error.node() == file.cell.node_of_sensor(sensor));
-    let sensor = sensor.map(|sensor| format!(", force sensor {}", file.cell.force_sensor[sensor].name));
-    let name = file.cell.groups().nth(bus).expect("the servo has the groups of the cell");
-    anyhow!("bus {name}{}: {error}", axis.or(io).or(sensor).unwrap_or_default())
+    Err(not_up::diagnosed(file, &servo, why))
 }
 
 fn in_lockstep(
@@ -405,8 +388,6 @@ fn in_lockstep(
         // The request broke off the instructions of the task.
         faults.retain(|fault| fault.robot.is_none());
     }
-    let truth = emulation.finish().context("the truth of the scene cannot be written");
-    faults.extend(truth.err().map(FaultReport::of_run));
     Ok(RunEnd {
         servo: Ok(servo),
         tracks,

@@ -51,11 +51,12 @@ impl<'a> Recording<'a> {
         self.is_streamed() || self.flight.is_some()
     }
 
-    /// The recorder of the run, if anything is recorded. `interfaces`: names in the candump log.
+    /// The recorder of the run, if anything is recorded. `interfaces`: names in the candump log. `utc_of_zero`: UTC of the
+    /// zero of the run's times, ns since 1970.
     pub(super) fn begin(
         self,
         file: &Arc<CellFile>,
-        (options, requests): (&RunOptions, &Requests),
+        (options, requests, utc_of_zero): (&RunOptions, &Requests, Option<u64>),
         servo: &mut Servo,
         (devices, sensors): (&Devices, &[ForceTorque]),
         interfaces: &[InterfaceName],
@@ -63,7 +64,7 @@ impl<'a> Recording<'a> {
         if !self.is_wanted() {
             return Ok(None);
         }
-        let facts = Facts::of_run(file, options.bench)?;
+        let facts = Facts::of_run(file, options.bench, utc_of_zero)?;
         let words = recording::words(devices, sensors).into_iter().map(|word| word.taken).collect();
         let journal = servo.keep_journal(JOURNAL, ORDERS, words);
         let mut recorder = Recorder::new(file, facts, journal, interfaces.to_vec());

@@ -34,6 +34,8 @@ pub(super) struct Watch {
     /// What the last look found in progress, and the number of looks that found it.
     seen: [(Option<u64>, u32); 2],
     most: [u32; 2],
+    /// Greatest number of looks that found the same turn of the task in progress.
+    longest: u32,
     /// Turns of the loop that executes the task, the number seen at the last look, and the number of looks that saw it.
     rounds: Option<Arc<AtomicU64>>,
     seen_rounds: (u64, u32),
@@ -47,6 +49,7 @@ impl Watch {
             turns: turns.clone(),
             seen: [(None, 0); 2],
             most: [MOST_LOOKS, steps],
+            longest: 0,
             rounds: None,
             seen_rounds: (0, 0),
         }
@@ -65,6 +68,9 @@ impl Watch {
             let looks = if now.is_some() && now == seen.0 { seen.1 + 1 } else { 0 };
             *seen = (now, looks);
             let limit = LOOK * most;
+            if work == Work::Task {
+                self.longest = self.longest.max(looks);
+            }
             match work {
                 _ if looks < most => {}
                 Work::Task => return Err(SystemError::Hung { limit }.into()),
@@ -195,16 +201,26 @@ pub(crate) fn returned<T: Send + 'static>(
     turns: &Turns,
     work: impl FnOnce() -> T + Send + 'static,
 ) -> Result<T, NoResult> {
+    watched(name, turns, |()| {}, move |_| work()).map(|(result, _)| result)
+}
+
+/// Like [`returned`], with the time for which the longest turn of the task was seen in progress.
+pub(crate) fn returned_after<T: Send + 'static>(
+    name: &'static str,
+    turns: &Turns,
+    work: impl FnOnce() -> T + Send + 'static,
+) -> Result<(T, Duration), NoResult> {
     watched(name, turns, |()| {}, move |_| work())
 }
 
 /// Like [`returned`]. `show` receives the news of the work on the calling thread, and the work waits for a slow `show`.
+/// The time is that of [`returned_after`].
 pub(super) fn watched<T: Send + 'static, N: Send + 'static>(
     name: &'static str,
     turns: &Turns,
     mut show: impl FnMut(N),
     work: impl FnOnce(&mut dyn FnMut(N)) -> T + Send + 'static,
-) -> Result<T, NoResult> {
+) -> Result<(T, Duration), NoResult> {
     let mut watch = Watch::of(turns, false);
     let (tell, told) = sync_channel(NEWS);
     let crew = crew::current();
@@ -219,7 +235,7 @@ pub(super) fn watched<T: Send + 'static, N: Send + 'static>(
     loop {
         match told.recv_timeout(LOOK) {
             Ok(Told::News(news)) => show(news),
-            Ok(Told::Result(result)) => return Ok(result),
+            Ok(Told::Result(result)) => return Ok((result, LOOK * watch.longest)),
             Err(RecvTimeoutError::Timeout) => watch.look().map_err(NoResult::Hung)?,
             Err(RecvTimeoutError::Disconnected) => {
                 let panic = thread.join().expect_err("a thread without a result has panicked");

@@ -16,10 +16,11 @@ pub enum CarriedTask {
     Programs,
     /// All robots enable, home and disable.
     Home,
-    /// Records positions of a robot on the operator's command, and writes a trajectory file. The table `task` of the
-    /// cell file has the parameters. Needs --operator.
+    /// Records positions of a robot on the operator's command, and writes a trajectory file. The table `task.teach` of
+    /// the cell file, or the table `task`, has the parameters. Needs --operator.
     Teach,
-    /// Executes the trajectory file that the table `task` of the cell file names.
+    /// Executes the trajectory file that the table `task.replay` of the cell file names; the table `task.teach` where
+    /// absent, or the table `task`.
     Replay,
 }
 

@@ -64,6 +64,11 @@ impl Cell {
         self.file.parameters().map_err(TaskError::Parameters)
     }
 
+    /// The parameters of a task of the command: see [`CellFile::parameters_of`].
+    pub(super) fn parameters_of<T: DeserializeOwned>(&self, names: &[&str]) -> Result<T, TaskError> {
+        self.file.parameters_of(names).map_err(TaskError::Parameters)
+    }
+
     /// The robot called `name`. Refuses an unknown name and a robot that is in use.
     pub fn robot(&self, name: &str) -> Result<Robot, TaskError> {
         let robots = &self.file.cell.robot;

@@ -80,18 +80,26 @@ pub struct Program {
     /// Whether the instructions are those of the cell file.
     pub(crate) of_file: bool,
     operator: Option<OperatorLink>,
+    /// Where messages go without an operator.
+    texts: Option<OperatorLink>,
 }
 
 impl Program {
     /// A task in Rust.
     pub fn of(task: impl AsyncFn(&mut Cell) -> Outcome + Send + Sync + 'static) -> Self {
-        Self { task: Arc::new(task), of_file: false, operator: None }
+        Self { task: Arc::new(task), of_file: false, operator: None, texts: None }
     }
 
     /// The same task with an operator, who answers its questions.
     #[must_use]
     pub fn with_operator(self, operator: OperatorLink) -> Self {
         Self { operator: Some(operator), ..self }
+    }
+
+    /// The same task with a place for its messages ([`Cell::tell`]), and without answers to its questions.
+    #[must_use]
+    pub fn with_texts(self, texts: OperatorLink) -> Self {
+        Self { texts: Some(texts), ..self }
     }
 
     /// The task on the robots of `file`, for a caller with a servo and a clock of its own. [`run`](crate::run::run) is the
@@ -105,7 +113,7 @@ impl Program {
     ) -> Executor<TaskError> {
         let Equipment { subcontrollers, io, sensors, matrices, cameras, speed, figures } = equipment;
         let agents = Agents::new(subcontrollers);
-        let desk = Desk { link: self.operator.clone(), rehearsing };
+        let desk = Desk { link: self.operator.clone(), texts: self.texts.clone(), rehearsing };
         let devices = (io, sensors, matrices, cameras);
         let (task, mut cell) = (Arc::clone(&self.task), Cell::new(file, agents.clone(), devices, speed, figures, desk));
         Executor::new(agents, async move { task.carry(&mut cell).await }, turns)

@@ -16,6 +16,8 @@ use super::{Cell, Robot, TaskError};
 #[derive(Clone)]
 pub(super) struct Desk {
     pub(super) link: Option<OperatorLink>,
+    /// Where messages go without an operator.
+    pub(super) texts: Option<OperatorLink>,
     pub(super) rehearsing: bool,
 }
 
@@ -55,9 +57,11 @@ impl Cell {
         answered.await.map_err(|error| TaskError::Unanswered { question: text, error })
     }
 
-    /// Shows a message to the operator. A rehearsal and a run without an operator (`--operator`) show nothing.
+    /// Shows a message, with and without an operator (`--operator`): `mrroc run` prints the message on standard error. A
+    /// rehearsal shows nothing.
     pub fn tell(&self, message: impl Into<String>) {
-        if let Some(link) = self.desk.link.as_ref().filter(|_| !self.rehearsing()) {
+        let link = self.desk.link.as_ref().or(self.desk.texts.as_ref());
+        if let Some(link) = link.filter(|_| !self.rehearsing()) {
             link.show(message);
         }
     }

@@ -136,16 +136,20 @@ impl Order {
 ///
 /// `joints` replaces the parameter of this name.
 pub(super) async fn teach(cell: &mut Cell, joints: Option<JointConvention>) -> Outcome {
-    let parameters: Parameters = cell.parameters()?;
+    let parameters: Parameters = cell.parameters_of(&["teach"])?;
     let path = parameters.path(cell);
     let mut robot = parameters.robot(cell)?;
+    let key = match cell.file().cell.task.contains_key("teach") {
+        true => cell::Path::to("task").then("teach").then("file"),
+        false => cell::Path::to("task").then("file"),
+    };
     if !parameters.replace && fs::symlink_metadata(&path).is_ok() {
         let problem = format!("{} is there already: name another, or set replace = true", path.display());
-        return Err(cell.file().refuse(&cell::Path::to("task").then("file"), problem).into());
+        return Err(cell.file().refuse(&key, problem).into());
     }
     if let Some(what) = cell.file().inputs().reads(&path) {
         let problem = format!("{} is {what}: name another", path.display());
-        return Err(cell.file().refuse(&cell::Path::to("task").then("file"), problem).into());
+        return Err(cell.file().refuse(&key, problem).into());
     }
     cell.file().inputs().protect_target("the trajectory file of the task", &path);
     robot.enable().await?;
@@ -305,7 +309,7 @@ async fn displace(robot: &mut Robot, parameters: &Parameters, axis: usize, by: f
 
 /// Homes the robot and executes the trajectory file. `joints` replaces the parameter of this name.
 pub(super) async fn replay(cell: &mut Cell, joints: Option<JointConvention>) -> Outcome {
-    let parameters: Parameters = cell.parameters()?;
+    let parameters: Parameters = cell.parameters_of(&["replay", "teach"])?;
     let mut robot = parameters.robot(cell)?;
     let motion = robot.motions().trajectory_of(&parameters.path(cell), joints.or(parameters.joints))?;
     robot.enable().await?;

@@ -360,7 +360,8 @@ pub fn jitter(options: &Options, show: &dyn Fn(Progress)) -> anyhow::Result<Meas
                 chart.and_then(|chart| files.write(&ours_total, &peers_total, &chart))
             }
         };
-        written.and(spikes.map_or(Ok(()), |file| spikes::write(file, thread, late)))
+        let spikes = spikes.map_or(Ok(()), |file| spikes::write(file, thread, late));
+        written.and(spikes.context("the spikes cannot be written"))
     };
     let report = Some(report).filter(|_| !nothing);
     Ok(Measured { report, complete: !ended_early, failure, write: Box::new(write) })

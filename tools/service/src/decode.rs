@@ -7,6 +7,7 @@
 //! start of a transfer was not seen, the text says "unknown".
 
 mod block;
+mod error_frame;
 mod lss;
 mod transfer;
 
@@ -51,6 +52,8 @@ pub enum Kind {
     Heartbeat,
     /// Layer setting services.
     Lss,
+    /// Error frames of the kernel.
+    Error,
     /// Anything else.
     Other,
 }
@@ -66,6 +69,7 @@ impl Kind {
             Self::Sdo => "SDO",
             Self::Heartbeat => "heartbeat",
             Self::Lss => "LSS",
+            Self::Error => "error frame",
             Self::Other => "frame",
         }
     }
@@ -140,6 +144,9 @@ impl Decoder {
     /// Kind and node of a frame, and its text unless the frame is malformed.
     fn read(&mut self, frame: &Frame, at: Instant) -> (Kind, Option<NodeId>, Option<String>) {
         let other = |what: &str| (Kind::Other, None, Some(format!("{what}{}", bytes(frame.data()))));
+        if frame.is_error() {
+            return (Kind::Error, None, Some(error_frame::text(frame)));
+        }
         let Some(id) = frame.standard_data_id() else {
             return other(if frame.is_remote() { "remote frame" } else { "29-bit identifier: " });
         };

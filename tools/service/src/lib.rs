@@ -33,7 +33,7 @@ use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
 use anyhow::{Context, bail};
-use can::{ControllerState, Port};
+use can::Port;
 use canopen::{NodeId, Object};
 use clap::Args;
 use master::sdo::SdoError;
@@ -42,6 +42,7 @@ use thiserror::Error;
 use epos::ServicePort;
 use mrroc::bench::bus_port::BusPort;
 use mrroc::bench::interfaces::Interface;
+use mrroc::bench::silence;
 use mrroc::cell::CellFile;
 use mrroc::signals;
 use mrroc::streams::say;
@@ -157,19 +158,24 @@ impl BusArgs {
 impl<P> Open<P> {
     /// Name of `node` in reports, with the name of its axis, I/O node or force sensor if the cell has one.
     fn name_of(&self, node: NodeId) -> String {
-        let name = self.cell.as_ref().and_then(|(file, bus)| {
-            let is_node = |&(robot, axis): &(usize, usize)| file.cell.robot[robot].axis[axis].node == node.raw();
-            let axis = file.cell.axes_on(*bus).find(is_node).map(|(robot, axis)| file.axis_name(robot, axis));
-            let mut io = file.cell.io_on(*bus).map(|io| &file.cell.io[io]);
-            let mut sensors = file.cell.sensors_on(*bus);
-            let is_sensor = |sensor: &usize| file.cell.node_of_sensor(*sensor) == Some(node.raw());
-            let io = io.find(|io| io.node == node.raw()).map(|io| io.name.clone());
-            let sensor = || Some(file.cell.force_sensor[sensors.find(is_sensor)?].name.clone());
-            axis.or(io).or_else(sensor)
-        });
-        let name = name.map(|name| format!(" ({name})"));
-        format!("node {node}{}", name.unwrap_or_default())
+        name_in(self.cell.as_ref().map(|(file, bus)| (file, *bus)), node)
     }
+}
+
+/// Name of `node` of a bus of a cell in reports.
+fn name_in(cell: Option<(&CellFile, usize)>, node: NodeId) -> String {
+    let name = cell.and_then(|(file, bus)| {
+        let is_node = |&(robot, axis): &(usize, usize)| file.cell.robot[robot].axis[axis].node == node.raw();
+        let axis = file.cell.axes_on(bus).find(is_node).map(|(robot, axis)| file.axis_name(robot, axis));
+        let mut io = file.cell.io_on(bus).map(|io| &file.cell.io[io]);
+        let mut sensors = file.cell.sensors_on(bus);
+        let is_sensor = |sensor: &usize| file.cell.node_of_sensor(*sensor) == Some(node.raw());
+        let io = io.find(|io| io.node == node.raw()).map(|io| io.name.clone());
+        let sensor = || Some(file.cell.force_sensor[sensors.find(is_sensor)?].name.clone());
+        axis.or(io).or_else(sensor)
+    });
+    let name = name.map(|name| format!(" ({name})"));
+    format!("node {node}{}", name.unwrap_or_default())
 }
 
 impl Bus {
@@ -182,23 +188,7 @@ impl Bus {
 
     /// Possible reasons why no node answered.
     fn silence(&self) -> String {
-        let counters = self.port.counters();
-        let interface = &self.interface;
-        match (counters.received, self.port.state()) {
-            (1.., _) => format!(
-                "{interface} carries other frames, so its bit rate is right: the node has another node-ID, is \
-                 switched off, or is stopped (a stopped node answers no SDO)"
-            ),
-            (0, ControllerState::Active) if counters.errors == 0 => format!(
-                "nothing at all is heard on {interface}: wrong bit rate, no power at the nodes, CAN_H and CAN_L \
-                 swapped, or no termination"
-            ),
-            (0, state) => format!(
-                "the controller of {interface} is {}: nobody acknowledges its frames. Wrong bit rate, no \
-                 termination, or no node with power",
-                words::controller_state(state)
-            ),
-        }
+        silence::reasons(&self.interface, self.port.counters(), self.port.state())
     }
 }
 

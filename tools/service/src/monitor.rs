@@ -1,12 +1,16 @@
-//! `mrroc monitor`: prints the frames of a bus as text while they arrive.
+//! `mrroc monitor`: prints the frames of a bus as text while they arrive, or the frames of a candump log.
+
+mod from_file;
 
 use std::io::{BufWriter, ErrorKind, Write};
+use std::mem::{replace, take};
+use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 use anyhow::Context;
-use can::{ControllerState, Port, Received, clock};
+use can::{ControllerState, Port, PortError, Received, clock};
 use canopen::NodeId;
 use canopen::cia401::PROFILE;
 use clap::Args;
@@ -18,16 +22,26 @@ use super::decode::{Decoder, Described, Kind};
 use super::pdo_map::{MappingQuestions, Pdo, PdoMap};
 use super::survey::Survey;
 use super::talk;
-use super::words::{self, Identification};
+use super::words::Identification;
 use super::{Bus, BusArgs};
 use mrroc::bench::interfaces::Interface;
+use mrroc::bench::silence;
+use mrroc::cell::CellFile;
 use mrroc::setup;
+
+/// Message about an interface that was set down.
+const DOWN: &str = "the interface is down: frames are shown again once it is up (ip link set ... up), Ctrl-C ends";
 
 /// Options of `mrroc monitor`.
 #[derive(Args)]
+#[command(mut_arg("can", |can| can.required_unless_present("from")))]
 pub struct Options {
     #[command(flatten)]
     bus: BusArgs,
+    /// Read frames from a log of `candump -l` or `-L`, not from a bus; `-` is standard input. With --cell, an interface of
+    /// the log has the PDOs and names of its bus of the cell. Lines that are no frame are counted.
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["can", "bitrate_kbps", "map"])]
+    from: Option<PathBuf>,
     /// Read the PDO mapping of the nodes by SDO at the start. Do not use while another master uses SDO.
     #[arg(long)]
     map: bool,
@@ -54,11 +68,14 @@ impl Options {
     }
 }
 
-/// Shows frames until Ctrl-C, until `--count` frames were shown, or until the reader of the output closes it. The exit
-/// status is 0 in all three cases.
+/// Shows frames until Ctrl-C, also after the interface was down, until `--count` frames were shown, or until the reader of the output closes it. The exit
+/// status is 0 in all three cases. A log is shown to its end.
 pub fn monitor(options: &Options) -> anyhow::Result<ExitCode> {
+    if let Some(path) = &options.from {
+        return from_file::show(path, options);
+    }
     let mut bus = if options.map { options.bus.open()? } else { options.bus.listen()? };
-    let mut decoder = of_cell(&bus);
+    let mut decoder = bus.cell.as_ref().map(|(file, index)| of_cell(file, *index)).unwrap_or_default();
     if options.map {
         let nodes = NodeId::all().map(|node| (node, MappingQuestions::of(node)));
         let mut survey = Survey::new(nodes, Duration::from_millis(options.timeout));
@@ -79,11 +96,8 @@ fn is_broken_pipe(error: &anyhow::Error) -> bool {
 }
 
 /// PDO mapping that a run of the cell configures in its nodes, and the identification of the nodes.
-fn of_cell(bus: &Bus) -> Decoder {
+fn of_cell(file: &CellFile, index: usize) -> Decoder {
     let mut decoder = Decoder::default();
-    let Some((file, index)) = &bus.cell else {
-        return decoder;
-    };
     let mut pdos = PdoMap::new();
     let mut add = |node: NodeId, setups: Vec<PdoSetup>| {
         for setup in setups {
@@ -92,18 +106,18 @@ fn of_cell(bus: &Bus) -> Decoder {
             pdos.insert(id.raw(), Pdo { node, kind: setup.kind, number: setup.number, entries });
         }
     };
-    for axis in setup::axis_configs(file, *index) {
+    for axis in setup::axis_configs(file, index) {
         decoder.identify(axis.node, Identification { vendor: Some(axis.identity.vendor), device_type: None });
         add(axis.node, cia402::pdo_setups(&axis));
     }
-    for io in file.cell.io_configs(*index) {
+    for io in file.cell.io_configs(index) {
         let device_type = Some(u32::from(PROFILE));
         decoder.identify(io.node, Identification { vendor: Some(io.identity.vendor), device_type });
         let mut setups = cia401::pdo_setups(&io).expect("a parsed cell has possible times").to_vec();
         setups.retain(|setup| !setup.mapping.entries().is_empty());
         add(io.node, setups);
     }
-    for sensor in file.cell.sensor_configs(*index) {
+    for sensor in file.cell.sensor_configs(index) {
         let vendor = sensor.identity.map(|identity| identity.vendor);
         decoder.identify(sensor.node, Identification { vendor, device_type: sensor.device_type });
         add(sensor.node, sensor.pdo_setups().expect("a parsed cell has possible process data"));
@@ -118,11 +132,25 @@ fn watch(bus: &mut Bus, decoder: &mut Decoder, options: &Options) -> anyhow::Res
     let began = clock::now();
     decoder.begin(began);
     let mut left = options.count.unwrap_or(u64::MAX);
-    let mut health = Health::default();
+    let (mut health, mut down) = (Health::default(), false);
     while left > 0 && !bus.interrupted.load(Ordering::Relaxed) {
-        let on = || bus.interface.to_string();
-        bus.port.wait_readable(clock::now() + talk::LOOK).with_context(on)?;
-        let count = bus.port.receive(clock::now(), &mut received).with_context(on)?;
+        let look = clock::now() + talk::LOOK;
+        let read = bus.port.wait_readable(look).and_then(|_| bus.port.receive(clock::now(), &mut received));
+        let count = match read {
+            Ok(count) => count,
+            Err(PortError::Down) => {
+                if !replace(&mut down, true) {
+                    mrroc::streams::warn(format_args!("mrroc: {}: {DOWN}", bus.interface));
+                }
+                clock::sleep_until(look);
+                0
+            }
+            Err(error) => return Err(error).with_context(|| bus.interface.to_string()),
+        };
+        if count > 0 && take(&mut down) {
+            mrroc::streams::warn(format_args!("mrroc: {}: frames arrive again", bus.interface));
+            decoder.begin(clock::now());
+        }
         if health.has_lost(bus) {
             // The position of the loss among the received frames is not known.
             decoder.begin(clock::now());
@@ -133,14 +161,10 @@ fn watch(bus: &mut Bus, decoder: &mut Decoder, options: &Options) -> anyhow::Res
                 continue;
             }
             left -= 1;
-            let shown = MonitorLine { at_s: at.since(began).as_secs_f64(), frame: frame.to_string(), described };
-            if options.json {
-                writeln!(out, "{}", serde_json::to_string(&shown)?)?;
-            } else {
-                let name = shown.described.node.map(|node| format!("{}: ", bus.name_of(node))).unwrap_or_default();
-                let (frame, text) = (&shown.frame, &shown.described.text);
-                writeln!(out, "{:12.6}  {frame:<20}  {name}{text}", shown.at_s)?;
-            }
+            let name = described.node.map(|node| format!("{}: ", bus.name_of(node)));
+            let at_s = at.since(began).as_secs_f64();
+            let line = MonitorLine { at_s, interface: None, frame: frame.to_string(), described };
+            line.write(&mut out, name, options.json)?;
         }
         if let Some(news) = health.news(bus) {
             mrroc::streams::warn(format_args!("mrroc: {}: {news}", bus.interface));
@@ -171,7 +195,7 @@ impl Health {
         if lost > 0 {
             return Some(loss(&bus.interface, lost));
         }
-        changed.then(|| format!("the controller is {}", words::controller_state(state)))
+        changed.then(|| format!("the controller is {}", silence::state_text(state)))
     }
 }
 
@@ -183,13 +207,30 @@ fn loss(interface: &Interface, count: u64) -> String {
     }
 }
 
-/// A frame with the time since the start of the monitor.
+/// A frame with the time since the start of the monitor, or since the first frame of a log, s.
 #[derive(Serialize)]
 struct MonitorLine {
     at_s: f64,
+    /// The interface of a frame of a log.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    interface: Option<String>,
     frame: String,
     #[serde(flatten)]
     described: Described,
+}
+
+impl MonitorLine {
+    /// Writes the line as JSON, or as text with the name of the node.
+    fn write(&self, out: &mut impl Write, name: Option<String>, json: bool) -> anyhow::Result<()> {
+        if json {
+            writeln!(out, "{}", serde_json::to_string(self)?)?;
+            return Ok(());
+        }
+        let interface = self.interface.as_ref().map(|interface| format!("{interface:<6}  ")).unwrap_or_default();
+        let (frame, text) = (&self.frame, mrroc::streams::plain(&self.described.text));
+        writeln!(out, "{:12.6}  {interface}{frame:<20}  {}{text}", self.at_s, name.unwrap_or_default())?;
+        Ok(())
+    }
 }
 
 #[cfg(test)]

@@ -1,6 +1,5 @@
 //! Text for numbers of CANopen.
 
-use can::ControllerState;
 use canopen::cia402::{Controlword, FaultTable, ModeOfOperation, PowerCommand, Statusword};
 use canopen::emcy::ErrorRegister;
 use canopen::lss::Outcome;
@@ -235,16 +234,6 @@ pub(super) fn lss_outcome(outcome: Outcome) -> String {
         Outcome::STORAGE => "refused, the storage cannot be accessed".to_owned(),
         Outcome::VENDOR => format!("refused by the vendor's code {:#04x}", outcome.specific),
         other => format!("refused by code {other:#04x}"),
-    }
-}
-
-/// Text of the state of a CAN controller.
-pub(super) fn controller_state(state: ControllerState) -> &'static str {
-    match state {
-        ControllerState::Active => "error active",
-        ControllerState::Warning => "at its error warning limit",
-        ControllerState::Passive => "error passive",
-        ControllerState::BusOff => "bus-off",
     }
 }
 

@@ -7,14 +7,17 @@ const BELL: u8 = 0x07;
 /// Cuts a stream of bytes into lines, with room for one line of [`LONGEST`] bytes.
 ///
 /// A line with a byte that is no printable ASCII, or longer than any line can be, is dropped as a
-/// whole and counted: the stream is in step again behind the next carriage return or bell. Line
-/// feeds are passed over, for those who end lines with both.
+/// whole and counted: the stream is in step again behind the next carriage return or bell. A line
+/// feed beside a carriage return is passed over, for those who end lines with both. A line that ends
+/// with a line feed alone is dropped and counted.
 #[derive(Clone, Debug, Default)]
 pub struct Splitter {
     line: [u8; LONGEST],
     /// Bytes of the current line, those that found no room included.
     len: usize,
     spoilt: bool,
+    /// Whether a line feed stands behind the bytes of the current line.
+    fed: bool,
     dropped: u64,
 }
 
@@ -36,6 +39,7 @@ impl Splitter {
                 None
             }
             b'\r' => {
+                self.fed = false;
                 let len = std::mem::take(&mut self.len);
                 Some(Piece::Line(&self.line[..len]))
             }
@@ -45,8 +49,14 @@ impl Splitter {
                 }
                 Some(Piece::Bell)
             }
-            b'\n' => None,
+            b'\n' => {
+                self.fed = self.len > 0;
+                None
+            }
             _ => {
+                if self.fed {
+                    self.drop_line();
+                }
                 match self.line.get_mut(self.len) {
                     Some(place) if byte == b' ' || byte.is_ascii_graphic() => *place = byte,
                     _ => self.spoilt = true,
@@ -66,6 +76,7 @@ impl Splitter {
         self.dropped += 1;
         self.len = 0;
         self.spoilt = false;
+        self.fed = false;
     }
 }
 
@@ -94,11 +105,14 @@ mod tests {
         let over_long = [&[b'1'; LONGEST + 1], b"\rO\r".as_slice()].concat();
         let endless = [&[b'1'; 1000], b"\rO\r".as_slice()].concat();
         type Case<'a> = (&'a [u8], &'a [&'a str], u64);
-        let cases: [Case; 10] = [
+        let cases: [Case; 13] = [
             (b"C\rS8\rO\r", &["C", "S8", "O"], 0),
             (b"C\rS8", &["C"], 0),
             (b"\r\r", &["", ""], 0),
             (b"C\r\nS8\r\n", &["C", "S8"], 0),
+            (b"C\n\rS8\n\r", &["C", "S8"], 0),
+            (b"t0800\nt0810\nt0820\n", &[], 2),
+            (b"t0800\n\nt0810\r", &["t0810"], 1),
             (b"\x07\r\x07", &["<bell>", "", "<bell>"], 0),
             (b"t08\x07O\r", &["<bell>", "O"], 1),
             (b"\xFF\x00t0800\rt0810\r", &["t0810"], 1),

@@ -417,7 +417,8 @@ impl<P: Port> DriveGroup for CanBus<P> {
             self.heartbeat.hasten(now);
         }
         let due = self.syncs.attempted;
-        let missed = self.drives.end_of_read(now, due, &mut self.members, &mut self.warnings, states);
+        let warnings = (&mut self.warnings, now.since(self.up_since));
+        let missed = self.drives.end_of_read(now, due, &mut self.members, warnings, states);
         if self.syncs.sent {
             self.counters.missed_answers += missed;
         }
@@ -509,7 +510,7 @@ impl<P: Port> DriveGroup for CanBus<P> {
     }
 
     fn counters(&self) -> GroupCounters {
-        GroupCounters { port: self.port.counters(), ..self.counters }
+        GroupCounters { port: self.port.counters(), state: self.port.state(), ..self.counters }
     }
 
     fn warnings(&self) -> &Warnings {

@@ -1,9 +1,9 @@
 //! Bring-up of all nodes of a bus: listening, reset, configuration, start, and the latency of the drives.
 
-use can::{Instant, Port, Received};
+use can::{Frame, Instant, Port, Received};
 use canopen::heartbeat::Heartbeat;
 use canopen::pdo::PdoNumber;
-use canopen::{cob, nmt};
+use canopen::{NodeId, cob, nmt};
 
 use super::routes::Place;
 use super::{CanBus, Member, SDO_FRAMES_PER_CALL, Sign, Stage};
@@ -83,6 +83,8 @@ impl<P: Port> CanBus<P> {
             self.lone.reset();
         }
         let count = self.port.receive(now, &mut self.received)?;
+        let nodes = self.received[..count].iter().filter_map(|received| sender(&received.frame));
+        self.counters.heard |= nodes.fold(0, |nodes, node| nodes | 1 << node.raw());
         let mut heard = self.received[..count].iter();
         let ours = |node| self.routes.place(node).is_some();
         if let Some(sign) = heard.find_map(|received| Sign::of_bring_up(&received.frame, self.config.host_node, ours)) {
@@ -128,5 +130,20 @@ impl<P: Port> CanBus<P> {
             self.bound_frames_in_flight()?;
         }
         Ok(ready)
+    }
+}
+
+/// The node that sent `frame`, by its identifier in the predefined connection set.
+fn sender(frame: &Frame) -> Option<NodeId> {
+    match cob::Function::of(frame.standard_data_id()?)? {
+        cob::Function::Emcy(node)
+        | cob::Function::Heartbeat(node)
+        | cob::Function::SdoResponse(node)
+        | cob::Function::Tpdo(_, node) => Some(node),
+        cob::Function::Nmt
+        | cob::Function::Sync
+        | cob::Function::Time
+        | cob::Function::Rpdo(..)
+        | cob::Function::SdoRequest(_) => None,
     }
 }

@@ -19,9 +19,10 @@ use super::program::MAXON;
 use super::search_evidence::SearchRules;
 use super::search_watch::SearchWatch;
 use super::service::{ModeSwitch, Service};
+use super::status_warnings::StatusWarnings;
 use super::target::Target;
 use crate::bus::Learnt;
-use crate::{AxisCommand, AxisState, EmergencyStop, Fault, Permille, Power, Refusal};
+use crate::{AxisCommand, AxisState, EmergencyStop, Fault, Permille, Power, Refusal, WarningCause};
 
 /// Answers until a controlword surely has its effect in the statusword. The drive latches the word at the next SYNC
 /// and acts on it afterwards. The SYNC after that samples the effect, and the following cycle reads the sample.
@@ -45,6 +46,7 @@ pub(super) struct CanAxis {
 
     state: AxisState,
     statusword: Statusword,
+    warnings: StatusWarnings,
     measurement: Measurement,
     /// The last SYNC was answered.
     answered: bool,
@@ -119,6 +121,7 @@ impl CanAxis {
             group,
             state: AxisState { at: now, ..AxisState::default() },
             statusword: learnt.statusword,
+            warnings: StatusWarnings::default(),
             measurement: Measurement::new(&group, &config, learnt.position),
             answered: false,
             contact: Contact::new(&config, group.tolerated_missing, learnt.inputs),
@@ -179,6 +182,8 @@ impl CanAxis {
     pub(super) fn answered(&mut self, answer: Answer, sampled: Instant, at: Instant) {
         let before = self.statusword.power_state();
         self.statusword = answer.statusword;
+        let enabled = self.statusword.power_state() == PowerState::OperationEnabled;
+        self.warnings.look(self.statusword, enabled && !self.search.may_set_counter());
         let position = answer.position;
         let failure = self.search.answered(self.homing_word(answer.statusword), position, sampled, at);
         if let Some(fault) = failure.and_then(|failure| failure.fault(self.config.node)) {
@@ -228,6 +233,11 @@ impl CanAxis {
                 }
             }
         }
+    }
+
+    /// The warnings of the statusword since the last call.
+    pub(super) fn take_warnings(&mut self) -> impl Iterator<Item = WarningCause> + use<> {
+        self.warnings.take()
     }
 
     /// Takes a heartbeat or boot-up received at `at`.

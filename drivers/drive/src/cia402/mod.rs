@@ -67,6 +67,7 @@ mod reserved;
 mod search_evidence;
 mod search_watch;
 mod service;
+mod status_warnings;
 mod target;
 
 #[cfg(test)]
@@ -93,7 +94,7 @@ pub use reserved::{Reserved, reserved};
 #[cfg(doc)]
 use crate::Power;
 use crate::bus::{Member, Syncs, begin_transfer};
-use crate::{AxisCommand, AxisState, EmergencyStop, Fault, Warnings};
+use crate::{AxisCommand, AxisState, EmergencyStop, Fault, Warning, Warnings};
 use answer_age::{AnswerAge, Finding};
 use axis::CanAxis;
 use process_data::Answer;
@@ -260,14 +261,14 @@ impl Cia402Group {
         self.drives.iter_mut().for_each(|drive| drive.axis.left_alone(waited));
     }
 
-    /// Ends the reading of a cycle. `due` is true if the last cycle had to send a SYNC. Returns the number of missing
-    /// answers.
+    /// Ends the reading of a cycle. `due` is true if the last cycle had to send a SYNC. `after` is the time since the
+    /// start of operation. Returns the number of missing answers.
     pub(crate) fn end_of_read(
         &mut self,
         now: Instant,
         due: bool,
         members: &mut [Member],
-        warnings: &mut Warnings,
+        (warnings, after): (&mut Warnings, Duration),
         states: &mut [AxisState],
     ) -> u64 {
         let mut missed = 0;
@@ -277,6 +278,10 @@ impl Cia402Group {
             let (read, missing) = drive.axis.end_of_read(now, due);
             *state = AxisState { lag: drive.age.lag(), ..read };
             drive.fault = read.fault;
+            let node = drive.axis.node();
+            for cause in drive.axis.take_warnings() {
+                warnings.add(Warning { after, node, cause, count: 1 });
+            }
             if let Some(Fault::Drive { node, code }) = read.fault.filter(|_| read.fault != before) {
                 warnings.explain(node, code);
             }

@@ -148,6 +148,8 @@ pub enum NodeQuantity {
     Counter,
     #[error("{0} must be in one field of one PDO")]
     Component(WrenchAxis),
+    #[error("object {0} is mapped for {1} and for {2}: each component needs an object of its own")]
+    Shared(Object, WrenchAxis, WrenchAxis),
     #[error("PDO mapping: {0}")]
     Mapping(MappingError),
 }
@@ -228,10 +230,16 @@ impl WrenchNodeConfig {
         }
         let fields = || self.pdos.iter().flat_map(|pdo| &pdo.fields);
         let once = |axis| fields().filter(|field| field.content.axis() == Some(axis)).count() == 1;
-        match WrenchAxis::ALL.into_iter().find(|axis| !once(*axis)) {
-            Some(axis) => Err(NodeQuantity::Component(axis)),
-            None => Ok(()),
+        if let Some(axis) = WrenchAxis::ALL.into_iter().find(|axis| !once(*axis)) {
+            return Err(NodeQuantity::Component(axis));
         }
+        let components: Vec<_> = fields().filter_map(|field| Some((field.object, field.content.axis()?))).collect();
+        for (i, &(object, axis)) in components.iter().enumerate() {
+            if let Some((_, first)) = components[..i].iter().find(|(earlier, _)| *earlier == object) {
+                return Err(NodeQuantity::Shared(object, *first, axis));
+            }
+        }
+        Ok(())
     }
 
     /// Event timer, ms; `None` for SYNC.

@@ -155,3 +155,24 @@ fn an_axis_has_the_watches_of_its_cell() {
         assert!(robot.axis.iter().all(|axis| axis.brake == held), "{}", robot.name);
     }
 }
+
+/// Protection currents of the axes, A: those of the cells, and those of the main line of MRROC++.
+const PROTECTION: ([f64; 5], &str) = ([25.0, 18.0, 15.0, 17.0, 10.0], "15, 18, 10, 10 and 10 A");
+
+#[test]
+fn protection_currents_are_those_of_one_source_and_cells_and_book_say_which_and_why() {
+    let (currents, other) = PROTECTION;
+    let lab = include_str!("../../../../cells/lab.toml");
+    for text in [SERIAL, HI_MOXA, lab] {
+        let axes = &Cell::parse(text).unwrap().robot[0].axis;
+        let of_cell: Vec<_> = axes.iter().filter_map(|axis| Some(axis.controller.as_ref()?.max_current)).collect();
+        assert_eq!(of_cell, currents);
+        assert!(text.contains(other));
+    }
+    let book = include_str!("../../../../book/src/serial.md");
+    assert!(book.contains("25, 18, 15, 17 and 10 A") && book.contains(other));
+    // With those of the main line, the loops of the cells may ask for more than the protection permits.
+    let spoilt = SERIAL.replacen("max_current = 25.0", "max_current = 15.0", 1);
+    let error = Cell::parse(&spoilt).unwrap_err();
+    assert!(error.to_string().contains("max_current * torque_constant"), "{error}");
+}

@@ -190,6 +190,11 @@ fn a_sensor_on_a_bus_that_cannot_be_is_refused_with_line_key_and_reason() {
         (fx, "{ index = 0x2002, content = \"status\", bytes = 1 }", "can.pdo: node 16: Fx must be in one field"),
         (
             fx,
+            "{ index = 0x2000, subindex = 2, content = \"fx\", bytes = 2 }",
+            "can.pdo: node 16: object 0x2000:02 is mapped for Fx and for Fy: each component needs an object of its own",
+        ),
+        (
+            fx,
             "{ index = 0x2000, content = \"fx\", bytes = 2, errors = 1 }",
             "can.pdo[0].field[0].errors: has no effect",
         ),

@@ -44,6 +44,24 @@ fn a_task_asks_until_a_line_is_a_choice_and_rehearsals_take_their_own_answer() {
 }
 
 #[test]
+fn a_task_tells_its_messages_without_an_operator_and_its_questions_stay_refused() {
+    let (link, OperatorPanel { texts, .. }) = OperatorLink::new(10);
+    let told = |task: Program| {
+        let options = RunOptions::on(BenchKind::Lockstep);
+        crate::run::run(&two_arms(), &options, &Requests::default(), &task.with_texts(link.clone()), &mut |_| {})
+    };
+    let report = told(Program::of(async |cell: &mut Cell| {
+        cell.tell("hello");
+        Ok(())
+    }));
+    assert_eq!(report.unwrap().outcome, RunOutcome::Completed);
+    // Once, and not in the rehearsal.
+    assert_eq!(texts.try_iter().collect::<Vec<_>>(), ["hello"]);
+    let refused = told(Program::of(async |cell: &mut Cell| cell.ask(next_motion().rehearsed("yes")).await.map(|_| ())));
+    assert!(format!("{:#}", refused.unwrap_err()).contains("run the task with --operator"));
+}
+
+#[test]
 fn a_question_without_an_operator_is_refused_before_motion() {
     let said = refused(async |cell: &mut Cell| {
         let [_left, _right] = ready(cell).await?;

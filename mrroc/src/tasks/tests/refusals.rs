@@ -93,6 +93,27 @@ fn a_pose_out_of_reach_in_the_middle_of_a_path_is_refused_before_any_robot_moves
     });
     assert!(said.starts_with("robot left: instruction 3 of its task: step "), "{said}");
     assert!(said.contains("axis lower-arm: motor at "), "{said}");
+    let lacks = "(in the rehearsal, which has ideal drives, no contact, and no objects before the sensors)";
+    assert!(said.ends_with(lacks), "{said}");
+}
+
+#[test]
+fn a_task_that_blocks_is_told_in_the_rehearsal() {
+    let begun = Arc::new(AtomicU32::new(0));
+    let task = async move |_: &mut Cell| {
+        if begun.fetch_add(1, Ordering::Relaxed) == 0 {
+            let (_sender, nothing) = std::sync::mpsc::channel::<()>();
+            // A wait that is no future of the library.
+            let _ = nothing.recv_timeout(ms(1_000));
+        }
+        Ok(())
+    };
+    let rehearsed = rehearse(&two_arms(), &Program::of(task)).unwrap();
+    assert!((ms(600)..ms(5_000)).contains(&rehearsed.blocked), "{:?}", rehearsed.blocked);
+    let told = crate::rehearsal::told_of_blocking(rehearsed.blocked).unwrap();
+    assert!(told.contains("blocked for ") && told.contains("await cell.sleep"), "{told}");
+    let quiet = rehearse(&two_arms(), &Program::of(async |_: &mut Cell| Ok(()))).unwrap();
+    assert_eq!(crate::rehearsal::told_of_blocking(quiet.blocked), None);
 }
 
 /// Fails in step 20, unless the cell rehearses.

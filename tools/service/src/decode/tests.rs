@@ -231,3 +231,23 @@ fn no_frame_is_too_odd_to_be_told() {
         }
     }
 }
+
+#[test]
+fn an_error_frame_is_told_in_words() {
+    let table = [
+        (
+            0x2000_0204,
+            [0, 0x0C, 0, 0, 0, 0, 96, 0],
+            "controller: warning limit of receive errors, warning limit of \
+         transmit errors; error counters: transmit 96, receive 0",
+        ),
+        (0x2000_0040, [0; 8], "bus-off"),
+        (0x2000_0028, [0, 0, 0x04, 0, 0, 0, 0, 0], "protocol violation: bit stuffing; no acknowledgement"),
+        (0x2000_0102, [0; 8], "arbitration lost; controller restarted"),
+        (0x2000_0000, [0; 8], "no class is set"),
+    ];
+    for (id, data, text) in table {
+        let described = Decoder::default().describe(&Frame::from_raw(id, 8, data).unwrap(), Instant::ZERO);
+        assert_eq!((described.kind, described.text.as_str()), (Kind::Error, text), "{id:#x}");
+    }
+}

@@ -27,6 +27,8 @@ fn late(bench: &Bench) -> Vec<(u8, u32, Duration)> {
         WarningCause::Late { periods, latency } => Some((periods, latency)),
         WarningCause::Emergency { .. }
         | WarningCause::Surplus
+        | WarningCause::Reported
+        | WarningCause::Limited
         | WarningCause::SoftwareLimits { .. }
         | WarningCause::Compared { .. } => None,
     };

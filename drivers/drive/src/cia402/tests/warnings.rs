@@ -1,4 +1,4 @@
-//! EMCY without a fault.
+//! EMCY without a fault, and bits of the statusword.
 
 use std::time::Duration;
 
@@ -150,4 +150,38 @@ fn an_old_warning_does_not_name_a_later_fault() {
         let fault = if is_named { Fault::Drive { node, code } } else { Fault::PowerLost { node, statusword } };
         assert_eq!(bench.states[0].fault, Some(fault), "{age}");
     }
+}
+
+#[test]
+fn a_warning_and_an_internal_limit_in_the_statusword_are_warnings_once_per_axis() {
+    for (bits, text) in [
+        (0x0080, "node 2: the drive has a warning (statusword bit 7): read its error history, object 0x1003"),
+        (
+            0x0800,
+            "node 2: an internal limit of the drive is in force (statusword bit 11): check its limits of position, \
+             velocity and torque, and its limit switches",
+        ),
+    ] {
+        let mut bench = enabled();
+        let up = bench.now;
+        for (bits, cycles) in [(0, 1), (bits, 3), (0, 1), (bits, 2)] {
+            (0..cycles).for_each(|_| drop(bench.cycle(&bench.answers(0x0737 | bits, 1_000), STAND)));
+        }
+        let found = warnings(&bench);
+        assert_eq!(found.iter().map(|it| (it.to_string(), it.count)).collect::<Vec<_>>(), [(text.to_owned(), 2)]);
+        // Enabling took seven cycles.
+        assert_eq!(found[0].after, bench.now.since(up) + 7 * PERIOD - 5 * PERIOD);
+        assert_eq!(bench.states[0].fault, None);
+    }
+}
+
+#[test]
+fn an_internal_limit_of_a_drive_that_is_off_is_no_warning() {
+    let mut bench = Bench::up(&[2]);
+    for word in [0x0740, 0x0F40] {
+        bench.cycle(&[answer(2, word, 1_000)], &[AxisCommand::Off]);
+    }
+    assert_eq!(warnings(&bench), []);
+    bench.cycle(&[answer(2, 0x07C0, 1_000)], &[AxisCommand::Off]);
+    assert_eq!(warnings(&bench).len(), 1);
 }
