@@ -145,19 +145,28 @@ fn a_robot_has_a_model_or_a_chain() {
 }
 
 #[test]
-fn forward_and_inverse_kinematics_of_a_chain_agree() {
-    let cell = example("puma560");
-    let cell = cell.to_str().unwrap();
-    let ask = |words: &str| {
-        let words = format!("kinematics {words} --robot puma560 --cell {cell} --json");
+fn a_table_of_joints_and_a_description_are_one_arm_whose_kinematics_agree() {
+    let folder = Directory::new();
+    let description = std::fs::read_to_string(example("puma560").with_extension("urdf")).unwrap();
+    let described = new_cell(&folder, "puma", &description);
+    let table = example("puma560");
+    let of = |robot: &str, cell: &str, words: &str| {
+        let words = format!("kinematics {words} --robot {robot} --cell {cell} --json");
         succeeds(&words.split(' ').collect::<Vec<_>>()).json()
     };
+    let ask = |words: &str| of("puma560", table.to_str().unwrap(), words);
     let numbers = |value: &serde_json::Value| -> Vec<f64> {
         value.as_array().unwrap().iter().map(|number| number.as_f64().unwrap()).collect()
     };
     let list = |numbers: &[f64]| numbers.iter().map(f64::to_string).collect::<Vec<_>>().join(",");
     let joints = [0.3, 0.7, -0.9, 0.4, 0.5, -0.6];
     let pose = ask(&format!("fk --joints {}", list(&joints)));
+    let same = of("arm", &described, &format!("fk --joints {}", list(&joints)));
+    for key in ["position", "quaternion"] {
+        for (one, other) in numbers(&pose[key]).into_iter().zip(numbers(&same[key])) {
+            assert!((one - other).abs() < 1e-8, "{key}: {one} and {other}, with nine digits of the angles in the file");
+        }
+    }
     let (position, quaternion) = (list(&numbers(&pose["position"])), list(&numbers(&pose["quaternion"])));
     let found = ask(&format!("ik --position {position} --quaternion {quaternion} --near {}", list(&joints)));
     let solutions = found["solutions"].as_array().unwrap();

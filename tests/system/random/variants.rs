@@ -50,7 +50,9 @@ fn written(example: &str, change: impl FnOnce(&mut Cell)) -> String {
         let arm = robot.arm().expect("the example cells are sound");
         let mut pose = arm.joints(&arm.robot().home().padded()).expect("home is a posture");
         pose[0] += if arm.axes() > 1 { 0.002 } else { 0.0001 };
-        robot.parameters = Some(finite(robot.numbers()));
+        if robot.chain.is_none() {
+            robot.parameters = Some(finite(robot.numbers()));
+        }
         robot.program = vec![Instruction::Joints(Joints {
             poses: vec![pose[..arm.axes()].to_vec()],
             generator: JointGenerator::JerkLimited,

@@ -36,7 +36,7 @@ impl Body {
     }
 
     /// The six components of the inertia: xx, yy, zz, xy, xz, yz.
-    pub(crate) fn components(&self) -> [f64; 6] {
+    pub fn components(&self) -> [f64; 6] {
         let it = &self.inertia;
         [it[(0, 0)], it[(1, 1)], it[(2, 2)], it[(0, 1)], it[(0, 2)], it[(1, 2)]]
     }
