@@ -1,6 +1,7 @@
 //! Chains: against the built-in robots, tables of Denavit and Hartenberg, and themselves.
 
 mod arms;
+mod golden;
 mod refusals;
 
 use super::*;
