@@ -12,7 +12,7 @@ use super::pose_error::Target;
 const NEAR_BRANCH: f64 = 1e-4;
 
 /// Square of the scaled error of an exact branch.
-const EXACT_BRANCH: f64 = 1e-26;
+const EXACT_BRANCH: f64 = 1e-24;
 
 /// Most steps of Newton's method from a branch.
 const STEPS: usize = 6;

@@ -58,21 +58,22 @@ pub(super) fn across(axis: &Vector3<f64>) -> Vector3<f64> {
 pub(super) fn angle(axis: &Vector3<f64>, from: &Vector3<f64>, to: &Vector3<f64>) -> Option<f64> {
     let (from, to) = (from - axis * axis.dot(from), to - axis * axis.dot(to));
     let (sin, cos) = (axis.dot(&from.cross(&to)), from.dot(&to));
-    (sin.hypot(cos) > OPEN * OPEN).then(|| sin.atan2(cos))
+    (sin * sin + cos * cos > OPEN.powi(4)).then(|| sin.atan2(cos))
 }
 
 /// The angles about `axis` by which `vector` turns to a vector whose product with `with` is `product`.
 pub(super) fn product(axis: &Vector3<f64>, with: &Vector3<f64>, vector: &Vector3<f64>, product: f64) -> Roots {
     let along = axis * axis.dot(vector);
     let (a, b) = (with.dot(&(vector - along)), with.dot(&axis.cross(vector)));
-    let (c, amplitude) = (product - with.dot(&along), a.hypot(b));
+    let (c, square) = (product - with.dot(&along), a * a + b * b);
+    let amplitude = square.sqrt();
     if amplitude < OPEN {
         return if c.abs() < OPEN { Roots::Open } else { Roots::None };
     }
     if c.abs() > amplitude * (1.0 + EXCESS) {
         return Roots::None;
     }
-    let (middle, half) = (b.atan2(a), (amplitude * amplitude - c * c).max(0.0).sqrt().atan2(c));
+    let (middle, half) = (b.atan2(a), (square - c * c).max(0.0).sqrt().atan2(c));
     Roots::Two([middle + half, middle - half])
 }
 

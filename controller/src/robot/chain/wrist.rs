@@ -150,8 +150,8 @@ fn two(
     mut visit: impl FnMut(f64, f64),
 ) {
     for inner in product(second, first, from, first.dot(to)).or_near(near[1], open) {
-        let turned = turned(second, inner, from);
-        visit(angle_or(first, &turned, to, near[0], open), inner);
+        let carried = turned(second, inner, from);
+        visit(angle_or(first, &carried, to, near[0], open), inner);
     }
 }
 
@@ -165,15 +165,11 @@ pub(super) fn orient(
     let mut open = false;
     let end = rotation * third;
     for middle in product(second, first, third, first.dot(&end)).or_near(near[1], &mut open) {
-        let turned = turned(second, middle, third);
+        let carried = turned(second, middle, third);
         // Where the first and the third axis are one line, only the sum of their angles is determined.
-        let start = angle_or(first, &turned, &end, near[0], &mut open);
+        let start = angle_or(first, &carried, &end, near[0], &mut open);
         let aside = across(third);
-        let back = super::subproblems::turned(
-            second,
-            -middle,
-            &super::subproblems::turned(first, -start, &(rotation * aside)),
-        );
+        let back = turned(second, -middle, &turned(first, -start, &(rotation * aside)));
         let last = angle_or(third, &aside, &back, near[2], &mut open);
         visit([start, middle, last]);
     }

@@ -1,6 +1,7 @@
 //! Chains: against the built-in robots, tables of Denavit and Hartenberg, and themselves.
 
 mod arms;
+mod golden;
 mod refusals;
 
 use super::*;
@@ -308,4 +309,22 @@ fn motors_follow_from_joints_by_ratios_homes_and_couplings() {
             chain.motors_from_joints(&Joints::from([first, second])).unwrap();
         }
     }
+}
+
+#[test]
+fn a_load_weighs_at_the_flange_and_not_at_the_last_link() {
+    let mut parameters = arms::panda();
+    parameters.joints.truncate(1);
+    let tilted = Isometry3::rotation(Vector3::x() * -FRAC_PI_2);
+    (parameters.joints[0].parent_from_joint, parameters.joints[0].ratio) = (tilted, 10.0);
+    parameters.link_from_flange = Isometry3::translation(0.5, 0.0, 0.0) * tilted;
+    let chain = made(&parameters);
+    let load = Mass { mass: 2.0, centre: [0.1, 0.0, 0.0] };
+    let weight = Weight::new(&chain, &[Mass::default()], load, parameters.up).unwrap();
+    // A positive angle lowers the load.
+    let torque = weight.torque(&chain, &chain.home()).unwrap()[0];
+    assert!((torque + 2.0 * 9.81 * 0.6 / 10.0).abs() < 1e-6, "{torque}");
+    let placed = chain.links()[0].placed(&Joints::from([0.7])) * chain.link_from_flange();
+    let (distance, angle) = apart(&placed, &chain.forward(&Joints::from([0.7])).unwrap());
+    assert!(distance < 1e-15 && angle < 1e-15);
 }
