@@ -2,6 +2,7 @@
 
 mod bodies;
 mod chain;
+mod coupling;
 mod irp6;
 mod kinematics;
 mod polycrank;
@@ -18,6 +19,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 pub use bodies::{ChainBodies, ChainBodyJoint, ChainError};
 use chain::Body;
 pub use chain::Load;
+pub(super) use coupling::CoupledMotor;
 use irp6::Irp6;
 pub(crate) use kinematics::{Kinematics, Shafts};
 use nalgebra::Vector3;
@@ -56,8 +58,14 @@ pub enum MechanismConfig {
 ///
 /// Each motor carries the weight and the inertia that its own rotation moves, in the present pose of all motors.
 /// Screws, parallelograms, rods and platforms couple the motors as in the robot. The load is computed once per
-/// millisecond. Left out: bending; friction that depends on load; forces from accelerations and speeds of the other
-/// axes. An exception is a change of inertia by the other axes, which conserves momentum.
+/// millisecond. Left out: bending; friction that depends on load.
+///
+/// In a [`MechanismConfig::Chain`], accelerations and velocities of all axes act on each motor (inertial coupling,
+/// Coriolis and centrifugal torques). Motors that advance together couple in each sub-step of 100 µs. The motors of a
+/// [`Scene`](crate::scene::Scene) do so. Otherwise a motor feels the torques of the other motors when its own drive
+/// advances, for example once per SYNC. An axis without a motor is held, and so is an axis with the regression model.
+/// In the robots of the laboratory these torques are left out. An exception is a change of inertia by the other axes,
+/// which conserves momentum.
 ///
 /// In a [`Scene`](crate::scene::Scene), the forces on the flange also load the motors, in each sub-step.
 ///
@@ -190,24 +198,27 @@ impl Mechanism {
     /// * Chain: the flange of its description.
     pub fn set_payload(&self, mass: f64, centre: [f64; 3]) {
         let mut robot = self.lock();
-        let payload = match &mut robot.links {
-            Links::Irp6(irp6) => &mut irp6.chain.payload,
-            Links::Rnt(rnt) => &mut rnt.wrist.payload,
-            Links::Polycrank(polycrank) => &mut polycrank.chain.payload,
-            Links::Chain(chain) => &mut chain.payload,
-        };
-        *payload = Body::point(mass, centre);
+        let (motors, payload) = (robot.motors, Body::point(mass, centre));
+        match &mut robot.links {
+            Links::Irp6(irp6) => irp6.chain.payload = payload,
+            Links::Rnt(rnt) => rnt.wrist.payload = payload,
+            Links::Polycrank(polycrank) => polycrank.chain.payload = payload,
+            Links::Chain(chain) => chain.set_payload(payload, &motors),
+        }
         robot.loads = [None; AXES];
     }
 
     /// Load on the motor of axis `number` in the present pose; zero for an absent axis. The query does not change the
     /// motion.
     pub fn load(&self, number: usize) -> Load {
-        let mut robot = self.lock().clone();
+        let robot = self.lock();
         if number >= robot.count {
             return Load::default();
         }
-        let loaded = robot.load(number);
+        let loaded = match &robot.links {
+            Links::Chain(chain) => chain.load(number, &robot.motors),
+            Links::Irp6(_) | Links::Rnt(_) | Links::Polycrank(_) => robot.clone().load(number),
+        };
         Load { torque: loaded.links.torque, inertia: loaded.inertia() }
     }
 
@@ -245,7 +256,7 @@ impl Mechanism {
     /// Effective mass, kg, of a point of the tool in a direction: force per acceleration, with all motors free and
     /// without friction. `point`, m, is in the flange frame, and `direction` in the base frame. Infinite if no motor
     /// moves the point in this direction. The inertia of each motor is given by [`Mechanism::load`]; the inertial
-    /// coupling between motors is neglected.
+    /// coupling between motors is neglected, except in a [`MechanismConfig::Chain`].
     ///
     /// A drive that holds its position adds resistance only after its reaction time. The effective mass determines the
     /// peak force of an impact that is shorter than this time.
@@ -254,7 +265,11 @@ impl Mechanism {
         let arm = kinematics.flange.axes * Vector3::from(point);
         let force = Vector3::from(direction).normalize();
         let torques = kinematics.torques(&force, &arm.cross(&force));
-        let mut robot = self.lock().clone();
+        let robot = self.lock();
+        if let Links::Chain(chain) = &robot.links {
+            return 1.0 / chain.mobility(&robot.motors, &torques);
+        }
+        let mut robot = robot.clone();
         let motors = torques.iter().take(robot.count).enumerate();
         let mobility: f64 = motors.map(|(number, torque)| torque * torque / robot.load(number).inertia()).sum();
         1.0 / mobility
@@ -349,8 +364,48 @@ impl Mount {
         robot.motors[self.number] = angle - robot.homes[self.number];
         self.shaft().set(angle, 0.0);
         let motors = robot.motors;
-        if let Links::Rnt(rnt) = &mut robot.links {
-            rnt.settle(&motors);
+        match &mut robot.links {
+            Links::Rnt(rnt) => rnt.settle(&motors),
+            Links::Chain(chain) => chain.coupling.place(self.number),
+            Links::Irp6(_) | Links::Polycrank(_) => {}
+        }
+    }
+
+    /// Lets the motor take part in coupled dynamics. Returns whether the robot has coupled dynamics.
+    pub(super) fn release(&self) -> bool {
+        let mut robot = self.mechanism.lock();
+        let Links::Chain(chain) = &mut robot.links else {
+            return false;
+        };
+        chain.coupling.release(self.number);
+        true
+    }
+
+    /// Begins a sub-step of the motor of a robot with coupled dynamics; `None` for another robot.
+    pub(super) fn begin(&self) -> Option<CoupledMotor> {
+        let mut robot = self.mechanism.lock();
+        let motors = robot.motors;
+        let Links::Chain(chain) = &mut robot.links else {
+            return None;
+        };
+        Some(chain.begin(self.number, &motors))
+    }
+
+    /// Ends a sub-step of the motor of a robot with coupled dynamics: its torques have changed its velocity by
+    /// `change`, rad/s, and the motor has turned to `angle`, rad.
+    pub(super) fn end(&self, change: f64, angle: f64) {
+        let mut robot = self.mechanism.lock();
+        robot.motors[self.number] = angle - robot.homes[self.number];
+        let Links::Chain(chain) = &mut robot.links else {
+            return;
+        };
+        if change != 0.0 {
+            chain.coupling.push(self.number, change);
+        }
+        if self.in_scene() {
+            for (shaft, velocity) in self.mechanism.0.shafts.iter().zip(&chain.coupling.velocities) {
+                shaft.set_velocity(*velocity);
+            }
         }
     }
 

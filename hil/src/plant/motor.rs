@@ -96,6 +96,8 @@ pub(crate) struct Motor {
     config: MotorConfig,
     /// Mount of the motor, if any, and the last load at the mount.
     mounted: Option<(Mount, Loaded)>,
+    /// Mount of the motor on a robot with coupled dynamics.
+    coupled: Option<Mount>,
     friction: Friction,
     pub(super) thermal: Thermal,
     noise: Noise,
@@ -120,9 +122,11 @@ pub(crate) struct Motor {
 impl Motor {
     /// A cold motor at standstill at `angle`, rad.
     pub(crate) fn new(config: &MotorConfig, mount: Option<&Mount>, angle: f64, noise: Noise) -> Self {
+        let (coupled, mount) = if mount.is_some_and(Mount::release) { (mount, None) } else { (None, mount) };
         Self {
             config: *config,
             mounted: mount.map(|mount| (mount.clone(), mount.load(angle))),
+            coupled: coupled.cloned(),
             friction: Friction::new(&config.friction),
             thermal: Thermal::new(&config.thermal),
             noise,
@@ -150,6 +154,10 @@ impl Motor {
             self.update();
         }
         self.sub_step = (self.sub_step + 1) % SLOW;
+        if let Some(motor) = self.coupled.as_ref().and_then(Mount::begin) {
+            (self.velocity, self.gravity, self.gain) = (motor.velocity, motor.weight, SUB_STEP * motor.mobility);
+        }
+        let before = self.velocity;
         self.current = voltage.map_or(0.0, |voltage| {
             let settled = (voltage - self.torque_constant * self.velocity) * self.conductance;
             settled + (self.current - settled) * self.decay
@@ -163,6 +171,9 @@ impl Motor {
         let free = self.velocity + torque * self.gain;
         self.velocity = self.friction.apply(self.velocity, free, self.gain, brake);
         self.angle += self.velocity * SUB_STEP;
+        if let Some(mount) = &self.coupled {
+            mount.end(self.velocity - before, self.angle);
+        }
     }
 
     /// Replaces the buffers at the ends of travel, and returns the previous ones.

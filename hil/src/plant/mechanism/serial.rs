@@ -6,6 +6,7 @@ use nalgebra::{Matrix3, Rotation3, Unit};
 
 use super::bodies::ChainBodies;
 use super::chain::{Body, GRAVITY, Load, Vector};
+use super::coupling::Coupling;
 use super::kinematics::{Frame, Kinematics, Twist};
 use super::{AXES, Loaded};
 
@@ -17,6 +18,7 @@ pub(super) struct SerialChain {
     pub(super) bodies: Arc<ChainBodies>,
     /// A point mass in the frame of the flange.
     pub(super) payload: Body,
+    pub(super) coupling: Box<Coupling>,
 }
 
 /// The links of a chain in one pose. All vectors are in the axes of the base.
@@ -40,7 +42,7 @@ pub(super) struct Placed {
 
 impl SerialChain {
     pub(super) fn new(bodies: Arc<ChainBodies>) -> Self {
-        Self { bodies, payload: Body::NONE }
+        Self { bodies, payload: Body::NONE, coupling: Box::new(Coupling::new()) }
     }
 
     pub(super) fn axes(&self) -> usize {

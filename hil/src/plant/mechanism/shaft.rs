@@ -18,6 +18,11 @@ impl Shaft {
         store(&self.velocity, velocity);
     }
 
+    /// Records a velocity, rad/s, that another motor has changed.
+    pub(super) fn set_velocity(&self, velocity: f64) {
+        store(&self.velocity, velocity);
+    }
+
     /// Torque that the forces on the robot cause at the motor, N·m.
     pub(in super::super) fn torque(&self) -> f64 {
         load(&self.torque)

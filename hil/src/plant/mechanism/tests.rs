@@ -1,6 +1,7 @@
 //! Weights and inertias calculated by hand from masses and lengths, and the motion of motors that carry such loads.
 
 pub(super) mod chains;
+mod coupled;
 
 use std::f64::consts::{FRAC_PI_2, TAU};
 
