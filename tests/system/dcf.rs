@@ -8,7 +8,7 @@ use kit::refusals::refused;
 use crate::configuration::{cell, dcf};
 
 #[test]
-fn a_stripped_file_is_accepted_by_the_cell_and_names_each_line_left_out() {
+fn a_stripped_file_is_accepted_by_the_cell_and_names_each_line_that_is_gone() {
     let directory = Directory::new();
     let (text, _) = dcf(&[
         ("6007", "ParameterValue=0"),
@@ -37,11 +37,11 @@ fn a_stripped_file_is_accepted_by_the_cell_and_names_each_line_left_out() {
 
     let written = fs::read_to_string(&output).unwrap();
     assert_eq!(written.lines().count(), text.lines().count());
-    let left_out = written.lines().zip(text.lines()).filter(|(after, before)| after != before);
-    for (after, before) in left_out.clone() {
+    let changed = written.lines().zip(text.lines()).filter(|(after, before)| after != before);
+    for (after, before) in changed.clone() {
         assert!(after.starts_with(&format!("; {before} ; left out: ")), "{after}");
     }
-    assert_eq!(left_out.count(), 4);
+    assert_eq!(changed.count(), 4);
     let after = cell(&directory, &written, |_| {});
     let check = mrroc(["check".as_ref(), after.as_os_str()]);
     assert_eq!(check.status.code(), Some(0), "{check:?}");
