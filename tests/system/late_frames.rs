@@ -28,6 +28,8 @@ fn lags<'a>(warnings: impl Iterator<Item = &'a Warning>) -> Vec<(u8, u32, Durati
         WarningCause::Late { periods, latency } => Some((it.node, periods, latency)),
         WarningCause::Emergency { .. }
         | WarningCause::Surplus
+        | WarningCause::Reported
+        | WarningCause::Limited
         | WarningCause::SoftwareLimits { .. }
         | WarningCause::Compared { .. } => None,
     };
