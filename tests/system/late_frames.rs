@@ -26,7 +26,7 @@ fn late(bus: BusId, frames: Frames, late: Duration) -> WorldFault {
 fn lags<'a>(warnings: impl Iterator<Item = &'a Warning>) -> Vec<(u8, u32, Duration)> {
     let lag = |it: &Warning| match it.cause {
         WarningCause::Late { periods, latency } => Some((it.node, periods, latency)),
-        WarningCause::Emergency { .. } | WarningCause::Surplus => None,
+        WarningCause::Emergency { .. } | WarningCause::Surplus | WarningCause::Reported | WarningCause::Limited => None,
     };
     warnings.filter_map(lag).collect()
 }
