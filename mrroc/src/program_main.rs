@@ -1,8 +1,10 @@
 //! The `main` of a robot program: arguments, signals, progress and the printed report.
 
+use std::io::{IsTerminal as _, stderr};
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::Arc;
+use std::time::Duration;
 
 use anyhow::Context;
 use clap::{Args, Parser};
@@ -88,9 +90,17 @@ pub fn run_program(file: &CellFile, options: &ProgramOptions, program: &Program)
     drop(program);
     console.finish();
     let report = report?;
-    if let Err(error) = streams::answer(&report, options.json) {
+    let lost = match streams::answered(&report, options.json) {
+        Ok(true) => None,
+        Ok(false) => Some("standard output is closed".to_owned()),
         // A refusal is too late, because everything has moved.
-        streams::warn(format_args!("mrroc: the report cannot be printed: {error:#}"));
+        Err(error) => Some(format!("{error:#}")),
+    };
+    if let Some(why) = lost {
+        streams::warn(format_args!(
+            "mrroc: the report cannot be printed: {why}. The run ended: {:?}. --out keeps a report in a directory",
+            report.outcome
+        ));
         return Ok(ExitCode::from(1));
     }
     Ok(ExitCode::from(match report.outcome {
@@ -98,6 +108,12 @@ pub fn run_program(file: &CellFile, options: &ProgramOptions, program: &Program)
         RunOutcome::Faulted | RunOutcome::Stopped => 1,
     }))
 }
+
+/// The bar, whose spinner and time move while an instruction is under way.
+const BAR: &str = "{spinner} {elapsed:>4} [{bar:30}] {pos}/{len} {msg}";
+
+/// Time between two pictures of the bar.
+const TICK: Duration = Duration::from_millis(250);
 
 struct Bar {
     bar: ProgressBar,
@@ -109,8 +125,12 @@ impl Bar {
     /// A bar for all instructions of all robots, or no bar.
     fn new(file: &CellFile, shown: bool) -> anyhow::Result<Self> {
         let bar = if shown { ProgressBar::new(0) } else { ProgressBar::hidden() };
-        let style = ProgressStyle::with_template("{elapsed:>4} [{bar:30}] {pos}/{len} {msg}")?;
+        let style = ProgressStyle::with_template(BAR)?;
         bar.set_style(style.progress_chars("=> "));
+        if shown && stderr().is_terminal() {
+            // Homing is one instruction of many seconds.
+            bar.enable_steady_tick(TICK);
+        }
         let names = file.cell.robot.iter().map(|robot| robot.name.clone());
         Ok(Self { bar, names: names.collect(), phases: vec![Phase::Off; file.cell.robot.len()] })
     }

@@ -70,7 +70,7 @@ pub struct Rehearsed {
     /// The greatest torque of each axis beyond its limit.
     pub(crate) overloads: Vec<Demand>,
     /// Time for which the task was seen in one turn.
-    pub(crate) blocked: Duration,
+    pub blocked: Duration,
 }
 
 impl Rehearsed {

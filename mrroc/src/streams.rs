@@ -23,8 +23,13 @@ pub fn say(line: impl Display) -> anyhow::Result<bool> {
 
 /// Prints an answer as text, or as one JSON object in one line.
 pub fn answer(answer: &(impl Serialize + Display), json: bool) -> anyhow::Result<ExitCode> {
+    answered(answer, json).map(|_| ExitCode::SUCCESS)
+}
+
+/// As [`answer`], and returns whether the reader was still open: where the answer cannot be had again, its loss is an error.
+pub fn answered(answer: &(impl Serialize + Display), json: bool) -> anyhow::Result<bool> {
     let text = if json { serde_json::to_string(answer)? } else { answer.to_string() };
-    say(text.trim_end_matches('\n')).map(|_| ExitCode::SUCCESS)
+    say(text.trim_end_matches('\n'))
 }
 
 /// Prints a message to standard error. A failure is ignored, because no other output is left.

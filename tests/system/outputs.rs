@@ -232,3 +232,25 @@ fn manual_pages_that_do_not_fit_are_refused_by_name() {
     let again = mrroc(["manual".as_ref(), pages.as_os_str()]);
     refused(&again, &["mrroc.bash", "--force"]);
 }
+
+#[test]
+fn a_report_that_nobody_reads_is_an_error_of_the_run() {
+    let directory = Directory::new();
+    let cell = directory.cell("irb6", shorten);
+    let mut run = Command::new(binary())
+        .arg("run")
+        .arg(cell)
+        .args(["--bench", "lockstep"])
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    drop(run.stdout.take());
+    let ended = run.wait_with_output().unwrap();
+    let said = String::from_utf8_lossy(&ended.stderr);
+    assert_eq!(ended.status.code(), Some(1), "{said}");
+    assert!(
+        said.contains("the report cannot be printed: standard output is closed. The run ended: Completed"),
+        "{said}"
+    );
+}

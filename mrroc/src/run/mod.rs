@@ -96,6 +96,7 @@ use tick::tick;
 pub use watch::{ServoHang, hang_limit};
 use watch::{Watch, watched};
 pub(crate) use watch::{returned, returned_after};
+use worker::no_thread;
 
 /// Least `--speed`, percent: at lower speeds, a program of minutes lasts for days.
 const LEAST_SPEED: f64 = 0.1;
@@ -457,7 +458,10 @@ fn by_the_clock(
         crew::point("rehearsal");
         rehearse_aside(&rehearsed, asked, &answer, &over);
     };
-    Builder::new().name("rehearsal".into()).spawn(rehearse).context("no thread for rehearsals can be made")?;
+    Builder::new()
+        .name("rehearsal".into())
+        .spawn(rehearse)
+        .with_context(|| no_thread("rehearsals", realtime.lock_memory))?;
     let rounds = Arc::new(AtomicU64::new(0));
     let mut watch = Watch::of(&task.turns, true).of_rounds(rounds.clone());
     let crew = requests.crew.clone();
@@ -476,7 +480,7 @@ fn by_the_clock(
         carrying.finish()
     };
     let controller = Builder::new().name("controller".into()).spawn(control);
-    let controller = controller.context("no thread for the controller can be made")?;
+    let controller = controller.with_context(|| no_thread("the controller", realtime.lock_memory))?;
     // Number of cycles at which a fault of the guardian was noticed.
     let mut noticed = None;
     let hung = loop {

@@ -11,6 +11,18 @@ use controller::ecp::{Plan, Planner};
 
 use super::crew;
 
+/// Why a thread for `work` cannot be made, and what to do. `locked`: the stack of a new thread is locked in memory.
+pub(super) fn no_thread(work: &str, locked: bool) -> String {
+    let remedy = match locked {
+        true => {
+            ", and its stack counts for the limit of locked memory: raise the limit (memlock unlimited, see `mrroc \
+             doctor`), or set realtime.lock_memory = false"
+        }
+        false => ": check the limit of processes (ulimit -u)",
+    };
+    format!("no thread for {work} can be made{remedy}")
+}
+
 /// Handle of a planning thread, held by the controller.
 pub(super) struct Worker {
     plans: SyncSender<Plan>,
@@ -58,5 +70,16 @@ impl Planner for Worker {
         let plan = self.results.try_recv().ok();
         self.offer();
         plan
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_thread_that_locked_memory_refuses_names_the_limit() {
+        assert!(no_thread("rehearsals", true).contains("limit of locked memory: raise the limit"));
+        assert!(no_thread("rehearsals", false).contains("limit of processes"));
     }
 }
