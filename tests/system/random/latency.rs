@@ -91,7 +91,7 @@ impl Line {
             }
             self.pass(PERIOD);
             self.group.read(self.now, &mut states);
-            let sign = if (cycle / HALF_SWING) % 2 == 0 { 1.0 } else { -1.0 };
+            let sign = if (cycle / HALF_SWING).is_multiple_of(2) { 1.0 } else { -1.0 };
             let setpoint = match protocol {
                 Protocol::Nfv2 => Setpoint::Torque(Finite::new(sign * 0.4).unwrap()),
                 Protocol::HiMoxa => Setpoint::Duty(Finite::new(sign * 0.08).unwrap()),
