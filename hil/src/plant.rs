@@ -5,7 +5,8 @@
 //! its hardware, and is kept as the regression model. [`MotorConfig`] is a motor with windings, friction, gravity,
 //! end stops and temperature. [`AxisConfig::irp6`] and its neighbours hold the parameters of the lab's robots. A
 //! motor without a mechanism carries a constant inertia and a weight that depends on its own angle. The axes of one
-//! robot are mounted on a [`Mechanism`], which couples their dynamics and carries payloads.
+//! robot are mounted on a [`Mechanism`], which couples their dynamics and carries payloads. A robot from a description is
+//! a chain of [`ChainBodies`], and [`AxisConfig::nominal`] chooses motors for it.
 //!
 //! All quantities are in SI units at the motor shaft. A run is a function of configuration, seed and demands. One
 //! build reproduces a run bit for bit. Left out: elastic gears, backlash, coupling forces beyond those of a
@@ -33,7 +34,7 @@ pub use mechanism::{ChainBodies, ChainBodyJoint, ChainError, Load, Mechanism, Me
 pub(crate) use mechanism::{Kinematics, Shafts};
 pub use motor::{EndStops, Gravity, MotorConfig};
 pub use noise::Noise;
-pub use nominal::Duty;
+pub use nominal::{NominalError, NominalJoint};
 pub use switch::Switch;
 pub use thermal::ThermalConfig;
 pub use wut::{Wut, WutConfig};

@@ -11,7 +11,7 @@ use crate::amplifier::AmplifierConfig;
 const TRACK_ARM_HOMES: [f64; 6] = [-10.819, -4.012, -6.219, 158.997, 479.5, 769.7];
 
 /// Nominal values.
-const THERMAL: ThermalConfig = ThermalConfig {
+pub(super) const THERMAL: ThermalConfig = ThermalConfig {
     winding_to_housing: 1.0,
     housing_to_air: 2.0,
     winding_capacity: 60.0,
@@ -44,7 +44,7 @@ pub(super) struct MotorData {
 }
 
 /// Natural frequency of an axis in its buffers, rad/s. The damping ratio is one half.
-const BUFFER_FREQUENCY: f64 = 300.0;
+pub(super) const BUFFER_FREQUENCY: f64 = 300.0;
 /// Bounce time of the contacts, sub-steps: 2 ms (nominal).
 const BOUNCE: u32 = 20;
 /// Distance from the home index down to the edge of the home switch, rad: half the distance between two index pulses.
@@ -52,7 +52,7 @@ const EDGE: f64 = std::f64::consts::PI;
 
 impl MotorData {
     /// An axis with the edge of its home switch half a motor turn below home.
-    pub(super) fn config(&self, home_from: f64) -> AxisConfig {
+    fn config(&self, home_from: f64) -> AxisConfig {
         self.axis((home_from, self.home - EDGE), BOUNCE)
     }
 

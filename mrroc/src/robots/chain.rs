@@ -4,9 +4,9 @@
 use std::sync::Arc;
 
 use controller::robot::{ChainParameters, LinkKind};
-use hil::plant::{ChainBodies, ChainBodyJoint, ChainError, Duty};
-use hil::{AxisConfig, Mechanism, MechanismConfig};
-use nalgebra::{DMatrix, UnitQuaternion};
+use hil::plant::{ChainBodies, ChainBodyJoint, ChainError, NominalJoint};
+use hil::{AxisConfig, MechanismConfig};
+use nalgebra::{DMatrix, UnitQuaternion, Vector3};
 
 /// The links of the chain as one mechanism; `None` where the description knows no mass.
 pub(super) fn mechanism(given: &ChainParameters) -> Result<Option<MechanismConfig>, ChainError> {
@@ -32,7 +32,7 @@ pub(super) fn mechanism(given: &ChainParameters) -> Result<Option<MechanismConfi
         })
         .collect();
     let flange = given.link_from_flange;
-    let rotors: Vec<_> = (0..joints.len()).map(|number| duty(given, number).rotor()).collect();
+    let rotors: Vec<_> = (0..joints.len()).map(|number| demand(given, number).rotor_inertia()).collect();
     let bodies = ChainBodies::new(
         &joints,
         (flange.translation.vector.into(), quaternion(flange.rotation)),
@@ -45,27 +45,71 @@ pub(super) fn mechanism(given: &ChainParameters) -> Result<Option<MechanismConfi
 
 /// Motor, sensors and switches of axis `number`, with its motor at home at 0.
 pub(super) fn plant(given: &ChainParameters, number: usize) -> AxisConfig {
-    let duty = duty(given, number);
-    let load =
-        mechanism(given).ok().flatten().map(|mechanism| Mechanism::new(mechanism).load(number).inertia - duty.rotor());
-    AxisConfig::nominal(&Duty { load: load.unwrap_or(duty.load), ..duty })
+    AxisConfig::nominal(&demand(given, number)).expect(SOUND)
 }
 
-/// What the motor of an axis must do, where the description knows it. Its load is twice its rotor.
-fn duty(given: &ChainParameters, number: usize) -> Duty {
+/// What a joint demands of its nominal motor, by the description where it says so.
+fn demand(given: &ChainParameters, number: usize) -> NominalJoint {
     let joint = &given.joints[number];
+    let is_linear = joint.kind == LinkKind::Prismatic;
     let ratio = match &given.motors_from_joints {
         Some(rows) => rows[number].iter().fold(0.0, |most, factor| f64::max(most, factor.abs())),
-        None => joint.ratio.abs(),
+        None => joint.ratio,
     };
-    let duty = Duty {
-        torque: joint.effort.map_or(TORQUE, |effort| effort / ratio),
-        velocity: joint.velocity.map_or(VELOCITY, |velocity| velocity * ratio),
-        load: 0.0,
-        travel: None,
-    };
-    Duty { load: 2.0 * duty.rotor(), ..duty }
+    let Load { weight, inertia } = load(given, number);
+    let velocity = joint.velocity.unwrap_or(if is_linear { 0.25 } else { 1.0 });
+    let effort = joint.effort.unwrap_or(2.0 * (weight + inertia * velocity / RISE).max(LEAST_EFFORT));
+    let at_home = |position: f64| ratio * (position - joint.joint_at_home);
+    let ends = (at_home(joint.limits.low), at_home(joint.limits.high));
+    let has_ends = joint.kind != LinkKind::Continuous && given.motors_from_joints.is_none();
+    NominalJoint {
+        ratio,
+        // A load of which nothing is known takes a quarter of the effort.
+        inertia: if inertia > 0.0 { inertia } else { 0.25 * effort * RISE / velocity },
+        velocity,
+        effort,
+        home: 0.0,
+        travel: has_ends.then_some((ends.0.min(ends.1), ends.0.max(ends.1))),
+    }
 }
+
+/// Time from rest to the greatest velocity, s, of a joint whose effort is unknown.
+const RISE: f64 = 0.5;
+
+/// Least effort of such a joint, N·m or N.
+const LEAST_EFFORT: f64 = 5.0;
+
+/// Upper bounds of what a joint carries, whatever the pose.
+struct Load {
+    /// N·m or N.
+    weight: f64,
+    /// kg·m² or kg.
+    inertia: f64,
+}
+
+/// The links behind joint `number` at their greatest distances from it.
+fn load(given: &ChainParameters, number: usize) -> Load {
+    let is_linear = given.joints[number].kind == LinkKind::Prismatic;
+    let (mut reach, mut weight, mut inertia) = (0.0, 0.0, 0.0);
+    for (index, joint) in given.joints.iter().enumerate().skip(number) {
+        if index > number {
+            reach += joint.parent_from_joint.translation.vector.norm();
+        }
+        if joint.kind == LinkKind::Prismatic && index > number {
+            reach += joint.limits.low.abs().max(joint.limits.high.abs());
+        }
+        let Some(body) = &joint.body else { continue };
+        let distance = reach + Vector3::from(body.centre).norm();
+        let spread = body.inertia[..3].iter().copied().fold(0.0, f64::max);
+        (weight, inertia) = match is_linear {
+            true => (weight + GRAVITY * body.mass, inertia + body.mass),
+            false => (weight + GRAVITY * body.mass * distance, inertia + body.mass * distance * distance + spread),
+        };
+    }
+    Load { weight, inertia }
+}
+
+const GRAVITY: f64 = 9.81;
 
 /// Joint positions per motor position, rad/rad or m/rad, row by row.
 fn joints_from_motors(given: &ChainParameters) -> Vec<Vec<f64>> {
@@ -78,9 +122,5 @@ fn joints_from_motors(given: &ChainParameters) -> Vec<Vec<f64>> {
     let joints = motors.try_inverse().expect(SOUND);
     (0..count).map(|row| joints.row(row).iter().copied().collect()).collect()
 }
-
-/// Torque, N·m, and velocity, rad/s, of a motor of which the description says nothing.
-const TORQUE: f64 = 1.0;
-const VELOCITY: f64 = 300.0;
 
 const SOUND: &str = "a parsed chain has sound numbers";
