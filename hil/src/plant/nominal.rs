@@ -41,6 +41,9 @@ pub struct NominalError {
 const LOAD_PER_ROTOR: f64 = 5.0;
 /// Least inertia of a rotor, kg·m²: a motor of a few watts.
 const LEAST_ROTOR: f64 = 1e-7;
+/// Time in which the effort alone brings the rotor to the greatest velocity, s, at least. The loop of a lighter rotor would
+/// be too soft for the friction of a motor with this torque.
+const LEAST_RISE: f64 = 0.02;
 /// Torque of the motor per torque that the joint demands.
 const MARGIN: f64 = 1.5;
 /// Time from rest to the greatest velocity at the greatest acceleration, s, at least.
@@ -61,7 +64,8 @@ const COUNTS: (u32, f64) = (4096, 40_000.0);
 impl NominalJoint {
     /// Inertia of the rotor, kg·m².
     pub fn rotor_inertia(&self) -> f64 {
-        (self.load_inertia() / LOAD_PER_ROTOR).max(LEAST_ROTOR)
+        let of_torque = LEAST_RISE * self.effort / (self.velocity * self.ratio * self.ratio);
+        (self.load_inertia() / LOAD_PER_ROTOR).max(of_torque).max(LEAST_ROTOR)
     }
 
     /// Inertia of the load at the motor, kg·m².
@@ -100,7 +104,8 @@ impl NominalJoint {
 impl AxisConfig {
     /// A motor that can move a joint, with a margin. All numbers are nominal, to be replaced by those of a real motor.
     ///
-    /// * The rotor has a fifth of the reflected inertia of the load, and at least 1e-7 kg·m².
+    /// * The rotor has a fifth of the reflected inertia of the load, and at least the inertia that the effort alone brings to
+    ///   the greatest velocity in 20 ms.
     /// * The torque is 1.5 times the effort of the joint and the torque that accelerates the rotor meanwhile. The
     ///   greatest current is 10 A. The supply of at least 24 V leaves 30 % at the greatest velocity.
     /// * The friction is 2 % of the torque (3 % at rest), and another 2 % at the greatest velocity.
