@@ -35,6 +35,8 @@ pub mod cell;
 pub mod charts;
 pub mod check;
 mod demand;
+#[cfg(feature = "command-line")]
+mod extension;
 mod frame_order;
 pub mod guardian;
 pub mod input;
@@ -64,6 +66,8 @@ pub mod wire;
 
 pub use check::check;
 pub use controller::coordination::carry;
+#[cfg(feature = "command-line")]
+pub use extension::Extension;
 pub use motions::{Motions, PoseSize};
 #[cfg(feature = "command-line")]
 pub use program_main::{ProgramOptions, program, run_program};

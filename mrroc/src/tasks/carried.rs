@@ -6,10 +6,11 @@ use controller::executor::join_all;
 use controller::trajectory_file::JointConvention;
 
 use super::{Cell, Outcome, Program, Robot, teach};
+#[cfg(feature = "command-line")]
+use crate::Extension;
 
 /// Built-in tasks of `mrroc run`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-#[cfg_attr(feature = "command-line", derive(clap::ValueEnum))]
 pub enum CarriedTask {
     /// The programs of the cell file: all robots enable, home, execute their instructions, and disable.
     #[default]
@@ -25,6 +26,19 @@ pub enum CarriedTask {
 }
 
 impl CarriedTask {
+    /// All of them.
+    pub const ALL: [Self; 4] = [Self::Programs, Self::Home, Self::Teach, Self::Replay];
+
+    /// The name on the command line.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Programs => "programs",
+            Self::Home => "home",
+            Self::Teach => "teach",
+            Self::Replay => "replay",
+        }
+    }
+
     /// The task.
     pub fn program(self) -> Program {
         self.with(None)
@@ -53,11 +67,11 @@ impl CarriedTask {
 
 /// The task of `mrroc run` and `mrroc check`.
 #[cfg(feature = "command-line")]
-#[derive(clap::Args, Clone, Copy, Debug)]
+#[derive(clap::Args, Clone, Debug)]
 pub struct TaskOptions {
-    /// The task of the robots.
-    #[arg(long, value_enum, default_value_t)]
-    pub task: CarriedTask,
+    /// The task of the robots. `programs` are the programs of the cell file.
+    #[arg(long, default_value = "programs")]
+    pub task: String,
     /// Meaning of the joints of upper arm and wrist pitch in the trajectory file of IRp-6 or IRb-6, in place of the
     /// parameter `joints` of the task. Files of MRROC++ since 8 October 2010 have relative joints.
     #[arg(long, value_name = "CONVENTION", value_parser = convention())]
@@ -66,9 +80,15 @@ pub struct TaskOptions {
 
 #[cfg(feature = "command-line")]
 impl TaskOptions {
-    /// The task, or why it cannot have these options.
-    pub fn program(self) -> anyhow::Result<Program> {
-        self.task.program_with(self.joints)
+    /// The task, which may be one of `extension`, or why it cannot have these options.
+    pub fn program(&self, extension: &Extension) -> anyhow::Result<Program> {
+        match CarriedTask::ALL.into_iter().find(|task| task.name() == self.task) {
+            Some(task) => task.program_with(self.joints),
+            None if self.joints.is_some() => {
+                bail!("--joints: the task {} has no trajectory file: leave it out", self.task)
+            }
+            None => extension.find(&self.task),
+        }
     }
 }
 
