@@ -22,6 +22,7 @@ use canopen::emcy::{Emergency, ErrorRegister};
 use canopen::objects::{POSITION_ACTUAL, STATUSWORD};
 use canopen::sdo::{Initiate, Request, Response};
 use canopen::{NodeId, Object, cob};
+use controller::robot::Limits;
 use drive::bus::CanBus;
 use drive::cia402::{AxisConfig, GroupConfig, Recording};
 use drive::{AxisCommand, AxisState, DriveGroup, Finite, Homing, Increments, Setpoint};
@@ -201,8 +202,11 @@ pub(crate) fn faulted(output: &Output, named: &[&str]) {
 fn drives_of(cell: &Cell) -> (GroupConfig, Vec<AxisConfig>) {
     let arm = cell.robot[0].arm().unwrap();
     let home = arm.robot().home();
-    let axes = cell.robot[0].axis.iter().zip(home.iter());
-    let config = |(axis, home): (&Axis, &f64)| axis.drive_config(*home);
+    let axes = cell.robot[0].axis.iter().zip(home.iter().zip(arm.robot().motor_limits()));
+    let config = |(axis, (home, limits)): (&Axis, (&f64, &Limits))| AxisConfig {
+        position_range: Some((limits.low, limits.high)),
+        ..axis.drive_config(*home)
+    };
     (cell.group_config(0), axes.map(config).collect())
 }
 

@@ -2,18 +2,19 @@
 
 use ::mrroc::cell::{
     Cell, Direction, DriveControl, EmergencyContact, EmulatedPayload, EmulatedTemperature, EmulatedTip, FieldContent,
-    Instruction, JointGenerator, Joints, Law, LineInstruction, Parameter, Parameters, Protocol, SensorField, Weights,
+    Frame, Instruction, JointGenerator, Joints, Law, LineInstruction, Parameter, Parameters, Protocol, SensorField,
+    Weights,
 };
-use controller::robot::Mass;
+use controller::robot::{Limits, LinkKind, Mass};
 use hil::plant::Irp6Axis;
 use kit::mrroc::{examples, shorten, text};
 use servo::regulator::{IRP6, IRP6_DUTY, IncrementalConfig};
 
-use super::verdict::DCF;
+use super::verdict::{DCF, URDF};
 use crate::host_closed::closed_by_host;
 
 /// Examples of which every variant has further keys.
-const WITH_KEYS: [&str; 8] = [
+const WITH_KEYS: [&str; 9] = [
     "irb6-camera",
     "irb6",
     "irb6-serial",
@@ -22,6 +23,7 @@ const WITH_KEYS: [&str; 8] = [
     "irb6-can-wrist",
     "irb6-milling",
     "irb6-sonar",
+    "puma560",
 ];
 
 /// The cells that are altered: examples with further keys, and all other examples.
@@ -37,6 +39,9 @@ pub(super) fn all() -> Vec<String> {
         written("irb6-sonar", by_echoes),
         written("irb6-camera", by_sight),
         written("lab", two_that_meet),
+        written("puma560", by_frames_of_joints),
+        written("puma560", by_coupled_motors),
+        written("puma560", by_description),
     ];
     let others = examples().into_iter().filter(|name| !WITH_KEYS.contains(&name.as_str()));
     with_keys.into_iter().chain(others.map(|name| written(&name, |_| {}))).collect()
@@ -63,6 +68,40 @@ fn written(example: &str, change: impl FnOnce(&mut Cell)) -> String {
     }
     change(&mut cell);
     toml::to_string(&cell).expect("a cell is TOML")
+}
+
+/// An arm by the frames of its joints, with a linear joint at its end.
+fn by_frames_of_joints(cell: &mut Cell) {
+    let chain = cell.robot[0].chain.as_mut().expect("the arm is a chain");
+    chain.up = Some([0.0, 0.0, 1.0]);
+    chain.free_axis = Some([0.0, 0.0, 1.0]);
+    chain.link_from_flange = Some(Frame { xyz: [0.0, 0.0, 0.05], rpy: [0.0, 0.1, 0.0] });
+    let first = &mut chain.joint[0];
+    (first.dh, first.axis) = (None, Some([0.0, 0.0, 1.0]));
+    first.origin = Some(Frame { xyz: [0.0, 0.0, 0.1], rpy: [0.0, 0.0, 0.1] });
+    (first.joint_at_home, first.motor_at_home) = (Some(0.001), Some(0.1));
+    let last = &mut chain.joint[5];
+    (last.kind, last.limits) = (Some(LinkKind::Prismatic), Some(Limits { low: -0.1, high: 0.1 }));
+    (last.ratio, last.lead) = (None, Some(0.01));
+    (last.velocity, last.effort) = (Some(0.5), Some(200.0));
+}
+
+/// An arm whose motors are coupled.
+fn by_coupled_motors(cell: &mut Cell) {
+    let chain = cell.robot[0].chain.as_mut().expect("the arm is a chain");
+    let ratios: Vec<f64> = chain.joint.iter_mut().map(|joint| joint.ratio.take().expect("a gear")).collect();
+    let row = |number: usize| (0..6).map(|column| if column == number { ratios[number] } else { 0.0 }).collect();
+    chain.motors_from_joints = Some((0..6).map(row).collect());
+}
+
+/// An arm from a description.
+fn by_description(cell: &mut Cell) {
+    let chain = cell.robot[0].chain.as_mut().expect("the arm is a chain");
+    chain.urdf = Some(URDF.into());
+    (chain.base, chain.flange) = (Some("base".into()), Some("flange".into()));
+    for joint in &mut chain.joint {
+        (joint.kind, joint.dh, joint.body) = (None, None, None);
+    }
 }
 
 /// Adds every key that an arm on CAN may have.

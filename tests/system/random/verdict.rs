@@ -1,13 +1,14 @@
 //! Comparison of `mrroc check` and `mrroc run --bench lockstep` for a cell.
 
 use std::fmt;
+use std::fs;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::path::Path;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Condvar, Mutex};
 use std::thread;
 
-use kit::mrroc::{Directory, Output, Running};
+use kit::mrroc::{Directory, Output, Running, example};
 
 use crate::configuration;
 
@@ -16,6 +17,9 @@ const MEMORY: u32 = 200_000;
 
 /// The device configuration file beside each cell.
 pub(super) const DCF: &str = "motor.dcf";
+
+/// A robot description beside every cell: that of the Puma 560.
+pub(super) const URDF: &str = "arm.urdf";
 
 /// Common result of `mrroc check` and `mrroc run`.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -64,6 +68,8 @@ pub(super) fn judge(cell: &str) -> Result<Verdict, Disagreement> {
     // Profile velocity, 0 to 50,000 rpm.
     let (dcf, _) = configuration::dcf(&[("6081", "ParameterValue=1000")]);
     directory.write(DCF, &dcf);
+    let urdf = fs::read_to_string(example("puma560").with_extension("urdf")).expect("the description is in the tree");
+    directory.write(URDF, &urdf);
     let path = directory.write("cell.toml", cell);
     let asked = ask(&path, &["check"]).and_then(|checked| {
         let run = ask(&path, &["run", "--bench=lockstep", "--json"])?;
