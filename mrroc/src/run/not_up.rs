@@ -82,7 +82,7 @@ fn listed(nodes: &[u8]) -> String {
     }
 }
 
-#[cfg(test)]
+#[cfg(all(test, feature = "recording"))]
 mod tests {
     use std::fs;
     use std::path::Path;

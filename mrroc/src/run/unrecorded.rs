@@ -36,7 +36,7 @@ impl Recording {
     pub(super) fn begin(
         self,
         _: &Arc<CellFile>,
-        _: (&RunOptions, &Requests),
+        _: (&RunOptions, &Requests, Option<u64>),
         _: &mut Servo,
         _: (&Devices, &[ForceTorque]),
         _: &[InterfaceName],
