@@ -81,3 +81,23 @@ fn such_a_program_has_one_dependency_of_ours_and_forty_lines() {
     let program = fs::read_to_string(package.join("src/main.rs")).unwrap();
     assert!(program.lines().count() <= 40, "{}", program.lines().count());
 }
+
+#[test]
+fn a_program_has_the_whole_command_with_a_task_of_its_own() {
+    let ask = |words: &str| {
+        let program = example_program("own_command");
+        Command::new(program).args(words.split(' ')).current_dir(root()).output().unwrap()
+    };
+    let checked = ask("check cells/irb6.toml --task wave");
+    assert!(checked.status.success(), "{checked:?}");
+    let run = ask("run cells/irb6.toml --task wave --bench lockstep --json");
+    assert!(run.status.success(), "{run:?}");
+    let report: serde_json::Value = serde_json::from_slice(&run.stdout).unwrap();
+    assert_eq!(report["outcome"], "completed");
+    let unknown = ask("run cells/irb6.toml --task wove --bench lockstep");
+    assert_eq!(unknown.status.code(), Some(2));
+    let said = String::from_utf8(unknown.stderr).unwrap();
+    assert!(said.contains("programs, home, teach, replay, wave"), "{said}");
+    let schema = ask("schema");
+    assert_eq!(schema.stdout, fs::read(root().join("cells/cell.schema.json")).unwrap(), "other commands are there too");
+}
