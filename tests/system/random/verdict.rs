@@ -233,8 +233,10 @@ pub(super) fn judge_but(
     }
     if let Some((first, _)) = disagreed.first() {
         let line = |(number, it): &(u64, Disagreement)| {
-            let what = case(*number).what.replace('\n', "\\n");
-            format!("case {number}: {what} {it}\n")
+            let Case { what, cell } = case(*number);
+            let kept = std::env::temp_dir().join(format!("mrroc-case-{number}.toml"));
+            let kept = fs::write(&kept, cell).map_or_else(|error| error.to_string(), |()| kept.display().to_string());
+            format!("case {number}: {} {it}; the cell: {kept}\n", what.replace('\n', "\\n"))
         };
         let (lines, wrong): (String, _) = (disagreed.iter().map(line).collect(), disagreed.len());
         let cell = shrink(case(*first).cell);
