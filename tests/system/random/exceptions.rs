@@ -56,6 +56,12 @@ const EXCEPTIONS: &[Exception] = &[
     refused("ultrasonic.emulator.size", &["elements, declared were"], OTHER_DRIVE),
     refused("ultrasonic.emulator.absent", &["no answer, waited"], OTHER_DRIVE),
     refused("ultrasonic.emulator.silent_from_s", &["no answer, waited"], OTHER_DRIVE),
+    faulted(
+        "force_sensor.tolerated_missing",
+        &["went beyond its range"],
+        "a sample that is saturated in an impact is missing, and impacts are known in a run only",
+    ),
+    faulted("force_sensor.can.event_timer_ms", &["a sample every"], "the sensor's own rate is known in a run only"),
     refused("scene.tip_radius", &["is saturated"], "the force of a body at the tip is known in a run only"),
     refused("robot.parameters.", &["is saturated"], "the weight of the tool at the sensor is known in a run only"),
     faulted(
