@@ -152,6 +152,7 @@ pub fn judged<T>(unbearable: Duration, mut run: impl FnMut(usize) -> (Result<T, 
         let line = format!(
             "{name}: {NEGATIVE} {number} of at most {RUNS} {verdict}, {unbearable:?} is unbearable: {evidence}\n"
         );
+        print!("{line}");
         // Also in the output of a test that passes, which the test runner does not show.
         let _ = io::stderr().write_all(line.as_bytes());
         if !repeated {
