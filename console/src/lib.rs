@@ -88,8 +88,8 @@ enum Command {
     },
     /// Replay a recording of `run --record FILE.mcap` through the drivers and the servo of this version, and compare all
     /// outputs bit for bit. Opens no device. A recording that was cut replays up to its last whole chunk, and a damaged
-    /// recording up to its first damaged chunk. Exit status 0 if all replayed outputs are equal, 1 if an output differs,
-    /// 2 if the recording is damaged or cannot be replayed.
+    /// recording up to its first damaged chunk. Exit status 0 if the recording is whole and all outputs are equal, 1 if an
+    /// output differs, 2 if the recording was cut, is damaged or cannot be replayed.
     Replay {
         /// The recording.
         file: PathBuf,
@@ -272,7 +272,7 @@ fn check(cell: &Path, program: &Program, json: bool) -> anyhow::Result<ExitCode>
     streams::answer(&checked, json)
 }
 
-/// Replays a recording. Exit status 1 if an output differs, and 2 if the recording is damaged.
+/// Replays a recording. Exit status 1 if an output differs, and 2 if the recording was cut or is damaged.
 fn replay(file: &Path, cell: Option<PathBuf>, diff: bool, json: bool) -> anyhow::Result<ExitCode> {
     let replayed = recording::replay(file, &ReplayOptions { cell })?;
     streams::answer(&replayed, json)?;
@@ -281,10 +281,10 @@ fn replay(file: &Path, cell: Option<PathBuf>, diff: bool, json: bool) -> anyhow:
             streams::say(difference)?;
         }
     }
-    Ok(ExitCode::from(match (replayed.is_equal(), &replayed.damaged) {
+    Ok(ExitCode::from(match (replayed.is_equal(), replayed.is_whole()) {
         (false, _) => 1,
-        (true, Some(_)) => 2,
-        (true, None) => 0,
+        (true, false) => 2,
+        (true, true) => 0,
     }))
 }
 

@@ -30,6 +30,10 @@ def parts(only, seed):
         words = ["cargo", "bench", "--locked", "-p", "mrroc-tests", "--bench", "soak", "--", cell, "--hours", hours]
         return Part(f"soak-{cell}", "test", Command(*words, "--seed", seed, limit=7200), lock="target", processors=2)
 
+    def recording(cell, hours):
+        words = ["cargo", "bench", "--locked", "-p", "mrroc-tests", "--bench", "recording", "--", cell, "--hours", hours]
+        return Part(f"recording-{cell}", "test", Command(*words, limit=7200), lock="target", processors=2)
+
     def tests(name, chosen, only, **env):
         executables = Executables(messages, chosen=chosen.__eq__, only=only, threads=os.cpu_count(), limit=14_400, env=env)
         return Part(name, "test", executables, needs=["build"], processors=2)
@@ -46,6 +50,8 @@ def parts(only, seed):
              lock="target", processors=2),
         soak("irb6", 24),
         soak("lab", 4),
+        recording("irb6", 8),
+        recording("lab", 1),
         tests("seeds", "mrroc-tests/system", only or "random::", MRROC_RANDOM_SEED=str(seed), MRROC_RANDOM_TIMES="48"),
         tests("grids", "mrroc-tests/system", only or "each_row_of_the_grids", MRROC_RANDOM_TIMES="1000"),
         tests("scenes", "mrroc-hil", only or "random_scenes", MRROC_RANDOM_SEED=str(seed), MRROC_RANDOM_TIMES="100"),

@@ -41,3 +41,35 @@ pub fn replays_whole(run: &Output, recording: &Path) -> Replay {
     assert!(replay.equal > 2 * replay.cycles, "{replay}");
     replay
 }
+
+/// The start of the recording `bytes` up to its first chunk, and then a chunk of LZ4 that decompresses to `size` bytes of
+/// zeros, of which its header says `declared`.
+pub fn bomb(bytes: &[u8], size: u64, declared: u64) -> Vec<u8> {
+    const CHUNK: u8 = 0x06;
+    let mut at = 8;
+    while bytes[at] != CHUNK {
+        at += 9 + u64::from_le_bytes(bytes[at + 1..at + 9].try_into().expect("8 bytes")) as usize;
+    }
+    // A frame of blocks of 4 MiB. A block is a zero, and a match that repeats the zero.
+    let mut frame = vec![0x04, 0x22, 0x4D, 0x18, 0x60, 0x70, 0x73];
+    let (block, repeated) = (4_u64 << 20, (4_usize << 20) - 1 - 5 - 4 - 15);
+    // The last five bytes of a block are no match.
+    let mut coded = vec![0x1F, 0, 1, 0];
+    coded.extend(std::iter::repeat_n(255, repeated / 255));
+    coded.push((repeated % 255) as u8);
+    coded.extend([0x50, 0, 0, 0, 0, 0]);
+    for _ in 0..size / block {
+        frame.extend((coded.len() as u32).to_le_bytes());
+        frame.extend(&coded);
+    }
+    frame.extend([0; 4]);
+    let mut chunk = [0; 16].to_vec();
+    chunk.extend(declared.to_le_bytes());
+    // No checksum.
+    chunk.extend([0; 4]);
+    chunk.extend([3, 0, 0, 0]);
+    chunk.extend(b"lz4");
+    chunk.extend((frame.len() as u64).to_le_bytes());
+    chunk.extend(frame);
+    [&bytes[..at], &[CHUNK], &(chunk.len() as u64).to_le_bytes(), &chunk].concat()
+}

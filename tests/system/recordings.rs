@@ -8,7 +8,7 @@ use std::{fs, thread};
 use ::mrroc::recording::{ReplayOptions, replay};
 use kit::draw::Draw;
 use kit::mrroc::{Directory, binary, mrroc};
-use kit::recordings::{cycles, recorded, replays_whole, written};
+use kit::recordings::{bomb, cycles, recorded, replays_whole, written};
 use serde_json::Value;
 
 #[test]
@@ -122,6 +122,24 @@ fn the_memory_of_a_replay_does_not_depend_on_the_length_of_the_file() {
 }
 
 #[test]
+fn a_chunk_that_decompresses_to_gigabytes_needs_no_memory() {
+    let directory = Directory::new();
+    let cell = written(&directory, "irb6", |cell| cell.robot[0].program.clear());
+    let recording = directory.path("run.mcap");
+    let run = mrroc(recorded(&cell, "lockstep", &recording));
+    assert_eq!(run.status.code(), Some(0), "{run:?}");
+    let bytes = fs::read(&recording).unwrap();
+    let (size, path) = (4 << 30, directory.path("bomb.mcap"));
+    for declared in [size, 8 << 20, 1 << 20, 0] {
+        fs::write(&path, bomb(&bytes, size, declared)).unwrap();
+        let replayed = replay_within(200, &path);
+        let said = String::from_utf8_lossy(&[&replayed.stdout[..], &replayed.stderr[..]].concat()).into_owned();
+        assert_eq!(replayed.status.code(), Some(2), "{declared} bytes declared: {said}");
+        assert!(said.contains("damaged"), "{declared} bytes declared: {said}");
+    }
+}
+
+#[test]
 fn joined_recordings_are_no_equal_recording() {
     let directory = Directory::new();
     let cell = written(&directory, "irb6", |cell| cell.robot[0].program.clear());
@@ -136,6 +154,38 @@ fn joined_recordings_are_no_equal_recording() {
     let said = format!("damaged at byte {} (another recording behind the end of this one)", bytes.len());
     assert!(command.stdout.contains(&said), "{command:?}");
     assert!(command.stdout.contains(&format!("{} cycles replayed", whole.cycles)), "{command:?}");
+}
+
+#[test]
+fn each_kind_of_omission_has_an_exit_status_other_than_zero() {
+    let directory = Directory::new();
+    let cell = written(&directory, "irb6", |cell| cell.robot[0].program.clear());
+    let recording = directory.path("run.mcap");
+    let run = mrroc(recorded(&cell, "lockstep", &recording));
+    replays_whole(&run, &recording);
+    let bytes = fs::read(&recording).unwrap();
+    let changed = directory.path("changed.mcap");
+    let status = |bytes: &[u8]| {
+        fs::write(&changed, bytes).unwrap();
+        let command = mrroc(["replay".as_ref(), changed.as_os_str()]);
+        (command.status.code(), command)
+    };
+    assert_eq!(status(&bytes).0, Some(0));
+    let length = bytes.len();
+    for end in [0, 8, 100, length / 3, length / 2, length - 10_000, length - 500, length - 30, length - 8, length - 1] {
+        let (code, command) = status(&bytes[..end]);
+        assert_eq!(code, Some(2), "the first {end} of {length} bytes: {command:?}");
+    }
+    for (from, to) in
+        [(0, 8), (8, 40), (length / 3, length / 2), (length / 2, length / 2 + 1), (length - 300, length - 200)]
+    {
+        let (code, command) = status(&[&bytes[..from], &bytes[to..]].concat());
+        assert_eq!(code, Some(2), "without the bytes {from} to {to} of {length}: {command:?}");
+    }
+    for tail in [&bytes[..], &[0], b"text"] {
+        let (code, command) = status(&[&bytes, tail].concat());
+        assert_eq!(code, Some(2), "{} bytes behind the end: {command:?}", tail.len());
+    }
 }
 
 #[test]

@@ -10,6 +10,7 @@
 //!
 //! Read `Recorder` for what is written, [`replay`](self::replay()) for how a recording runs again.
 
+mod contents;
 #[cfg(test)]
 pub(crate) mod damage_tests;
 mod difference;
@@ -20,6 +21,8 @@ mod input;
 mod messages;
 #[cfg(test)]
 mod omission_tests;
+#[cfg(test)]
+mod part_tests;
 mod reader;
 mod replay;
 mod replaying;

@@ -10,13 +10,17 @@ use std::path::Path;
 
 use anyhow::{anyhow, bail};
 use can::Instant;
-use mcap::records::{Record, Statistics, op};
+use mcap::records::{Metadata, Record, op};
 use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
 use mcap::{MAGIC, McapError, parse_record};
 use serde::Serialize;
 
-use super::file::{END, ENDED, FIRST, Facts, METADATA, PROFILE, PROFILE_WITHOUT_END, PROFILE_WITHOUT_VERSION, VERSION};
+use super::contents::Contents;
+use super::file::{
+    END, ENDED, FIRST, Facts, METADATA, PROFILE, PROFILE_WITHOUT_END, PROFILE_WITHOUT_VERSION, UTC, VERSION,
+};
 use super::input::Input;
+use crate::bench::BenchKind;
 use crate::input;
 
 /// Greatest length of a record, bytes. A damaged length must not request more memory.
@@ -244,8 +248,7 @@ struct Reading {
     schemas: BTreeMap<u16, String>,
     /// Number of the last message, by channel.
     numbers: BTreeMap<u16, u32>,
-    /// Number of messages, by channel.
-    counts: BTreeMap<u16, u64>,
+    contents: Contents,
 }
 
 impl Reading {
@@ -256,18 +259,26 @@ impl Reading {
             return Err(damaged("an attachment with wrong lengths"));
         }
         let mut messages = Vec::new();
-        match parse_record(opcode, data)? {
-            // The summary repeats schemas and channels, and has indices.
-            Record::Chunk { .. } if self.complete => return Err(damaged("a chunk behind the messages")),
-            Record::Statistics(statistics) if self.complete => self.agrees(&statistics)?,
-            _ if self.complete => {}
+        let record = parse_record(opcode, data)?;
+        let (place, length) = (at as u64, (HEAD + data.len()) as u64);
+        if self.complete {
+            self.contents.summary(place, length, opcode, &record).map_err(Failure::Missing)?;
+            return Ok(messages);
+        }
+        if let Record::MessageIndex(index) = record {
+            self.contents.index(length, index.records.len());
+            return Ok(messages);
+        }
+        self.contents.close_chunk().map_err(Failure::Missing)?;
+        match record {
             Record::DataEnd(_) => self.data_end()?,
-            Record::MessageIndex(_) => {}
             Record::Header(header) => self.take_profile(header.profile)?,
-            Record::Metadata(metadata) if metadata.name == METADATA => self.take_facts(metadata.metadata)?,
-            // A tool that writes the file again may write the counts before the last chunk.
-            Record::Metadata(metadata) if metadata.name == END => self.mark = Some(metadata.metadata),
+            Record::Metadata(metadata) => {
+                self.contents.metadata(place, length);
+                self.take_metadata(metadata)?;
+            }
             Record::Attachment { header, data, .. } => {
+                self.contents.attachment(place, length);
                 let length = self.facts.files.iter().map(|(name, data)| name.len() + data.len()).sum::<usize>();
                 if length + data.len() > FILES {
                     return Err(damaged("files that are longer than those of a cell"));
@@ -279,9 +290,11 @@ impl Reading {
                 if !has_length(data.len() as u64, name, size) {
                     return Err(damaged("a chunk with wrong lengths"));
                 }
+                self.has_facts()?;
                 self.chunk(at, data, &mut messages)?;
+                self.contents.chunk(place, length, messages.len());
                 for message in &messages {
-                    *self.counts.entry(message.channel).or_default() += 1;
+                    self.contents.message(message.channel.wrapping_add(FIRST), message.time.as_nanos());
                 }
             }
             // Schemas, channels and messages are in chunks.
@@ -290,7 +303,37 @@ impl Reading {
         Ok(messages)
     }
 
+    /// Takes metadata. A tool that writes the file again may write the counts before the last chunk.
+    fn take_metadata(&mut self, metadata: Metadata) -> Result<(), Failure> {
+        let texts = metadata.metadata;
+        match metadata.name.as_str() {
+            METADATA if self.facts.texts.is_empty() => self.take_facts(texts),
+            END if self.mark.is_none() => {
+                self.mark = Some(texts);
+                Ok(())
+            }
+            METADATA | END => Err(damaged("the metadata are there twice")),
+            _ => Err(damaged("metadata of a name that is not expected here")),
+        }
+    }
+
+    /// Fails if what a recording says of itself is missing before its first chunk.
+    fn has_facts(&self) -> Result<(), Failure> {
+        let Some(profile) = &self.profile else { return Err(Failure::Missing("the header is missing".to_owned())) };
+        let texts = &self.facts.texts;
+        // In lockstep, the times are those of no clock.
+        let has_utc = profile == PROFILE && texts.get("bench").is_none_or(|bench| bench != BenchKind::Lockstep.name());
+        let mut keys = ["version", "bench", "cell"].into_iter().chain(has_utc.then_some(UTC));
+        match keys.find(|key| !texts.contains_key(*key)) {
+            Some(key) => Err(Failure::Missing(format!("the metadata lack {key:?}"))),
+            None => Ok(()),
+        }
+    }
+
     fn take_profile(&mut self, profile: String) -> Result<(), Failure> {
+        if self.profile.is_some() {
+            return Err(damaged("the header is there twice"));
+        }
         if ![PROFILE, PROFILE_WITHOUT_VERSION, PROFILE_WITHOUT_END].contains(&profile.as_str()) {
             let error = anyhow!("the profile is {profile:?}, and this version reads {PROFILE:?}");
             return Err(Failure::Refused(error));
@@ -321,8 +364,15 @@ impl Reading {
             (self.cut, self.complete) = (Some(cut.to_owned()), true);
             return Ok(());
         };
+        if !mark.contains_key(ENDED) {
+            return Err(damaged("the counts of the messages do not say whether the run had ended"));
+        }
+        let topics = mark.keys().filter(|key| key.starts_with('/'));
+        if let Some(topic) = topics.into_iter().find(|&topic| self.channels.values().all(|(it, _)| it != topic)) {
+            return Err(Failure::Missing(format!("the channel {topic} is missing")));
+        }
         for (channel, (topic, _)) in &self.channels {
-            let found = self.counts.get(channel).copied().unwrap_or(0);
+            let found = self.contents.count(channel.wrapping_add(FIRST));
             let Some(written) = mark.get(topic).and_then(|count| count.parse::<u64>().ok()) else {
                 return Err(damaged("a count of the messages that cannot be decoded"));
             };
@@ -331,20 +381,6 @@ impl Reading {
             }
         }
         self.complete = true;
-        Ok(())
-    }
-
-    /// Compares the counts in the summary with the messages.
-    fn agrees(&self, statistics: &Statistics) -> Result<(), Failure> {
-        let found = self.counts.values().sum::<u64>();
-        let written = statistics.message_count;
-        if found != written {
-            return Err(Failure::Missing(format!("{found} messages are there, and the summary counts {written}")));
-        }
-        let count = |channel: u16| self.counts.get(&channel.saturating_sub(FIRST)).copied().unwrap_or(0);
-        if statistics.channel_message_counts.iter().any(|(&channel, &written)| count(channel) != written) {
-            return Err(Failure::Missing("the summary counts other messages by channel".to_owned()));
-        }
         Ok(())
     }
 
@@ -371,12 +407,18 @@ impl Reading {
             };
             match parse_record(opcode, data)? {
                 Record::Schema { header, .. } => {
-                    named(&mut self.schemas, header.id, header.name.clone(), header.name.len())?;
+                    if named(&mut self.schemas, header.id, header.name.clone(), header.name.len())? {
+                        self.contents.schema(header.id);
+                    }
                 }
                 Record::Channel(channel) => {
-                    let schema = self.schemas.get(&channel.schema_id).cloned().unwrap_or_default();
-                    let length = channel.topic.len();
-                    named(&mut self.channels, channel.id.saturating_sub(FIRST), (channel.topic, schema), length)?;
+                    let Some(schema) = self.schemas.get(&channel.schema_id).cloned() else {
+                        return Err(Failure::Missing(format!("the schema of {} is missing", channel.topic)));
+                    };
+                    let (id, length, topic) = (channel.id.saturating_sub(FIRST), channel.topic.len(), &channel.topic);
+                    if named(&mut self.channels, id, (topic.clone(), schema), length)? {
+                        self.contents.channel(channel.id, topic);
+                    }
                 }
                 Record::Message { header, data } => {
                     self.follows(header.channel_id, header.sequence)?;
@@ -434,14 +476,14 @@ impl Reading {
     }
 }
 
-/// Adds a name. A recording has few and short ones.
-fn named<T: PartialEq>(names: &mut BTreeMap<u16, T>, id: u16, name: T, length: usize) -> Result<(), Failure> {
+/// Adds a name, and returns whether the name is new. A recording has few and short ones.
+fn named<T: PartialEq>(names: &mut BTreeMap<u16, T>, id: u16, name: T, length: usize) -> Result<bool, Failure> {
     if length > NAMES.1 || names.len() >= NAMES.0 {
         return Err(damaged("names of channels that no recording has"));
     }
     match names.insert(id, name) {
         Some(before) if names.get(&id) != Some(&before) => Err(damaged("a channel that changes")),
-        _ => Ok(()),
+        before => Ok(before.is_none()),
     }
 }
 

@@ -66,6 +66,11 @@ impl Replay {
     pub fn is_equal(&self) -> bool {
         self.differences.is_empty()
     }
+
+    /// Whether the file has all that was written: the file was not cut, and is not damaged.
+    pub fn is_whole(&self) -> bool {
+        self.cut.is_none() && self.damaged.is_none()
+    }
 }
 
 impl Display for Replay {
