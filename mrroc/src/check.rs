@@ -13,6 +13,7 @@ use crate::bench::{BenchKind, emulated_lines, emulated_sensors};
 use crate::budget::{self, Bundle, BusBudget, MessageBudget, SensorBudget};
 use crate::cell::{CellFile, IoNode, Parameters, printable};
 use crate::rehearsal::{self, Rehearsed};
+use crate::report::ConfigurationReport;
 use crate::{run::RunningTask, setup, tasks::Program};
 
 /// The result of a successful check.
@@ -39,20 +40,7 @@ struct CheckedRobot {
     /// What is special about an arm of the key `chain`.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     chain: Vec<String>,
-    configurations: Vec<CheckedConfiguration>,
-}
-
-#[derive(Debug, Serialize)]
-struct CheckedConfiguration {
-    axis: String,
-    file: String,
-    writes: usize,
-    /// Writes of defaults, which are made where the drive holds another value.
-    defaults: usize,
-    /// Read-only values in the file, which are compared with the drive.
-    compared: usize,
-    /// Values in the file that are not written.
-    left_out: usize,
+    configurations: Vec<ConfigurationReport>,
 }
 
 #[derive(Debug, Serialize)]
@@ -146,19 +134,9 @@ fn chain(numbers: &Parameters) -> Vec<String> {
     [inverse].into_iter().chain(masses).collect()
 }
 
-fn configurations(file: &CellFile, robot: usize) -> Vec<CheckedConfiguration> {
-    let configured = file.cell.robot[robot].axis.iter().enumerate().filter_map(|(number, axis)| {
-        let configuration = file.configuration(robot, number)?;
-        Some(CheckedConfiguration {
-            axis: axis.name.clone(),
-            file: printable(&configuration.path.display().to_string()),
-            writes: configuration.download.writes.len(),
-            defaults: configuration.download.defaults(),
-            compared: configuration.download.compared.len(),
-            left_out: configuration.download.left_out,
-        })
-    });
-    configured.collect()
+fn configurations(file: &CellFile, robot: usize) -> Vec<ConfigurationReport> {
+    let axes = file.cell.robot[robot].axis.iter().enumerate();
+    axes.filter_map(|(number, axis)| ConfigurationReport::of(file, robot, number, axis.name.clone())).collect()
 }
 
 impl fmt::Display for CheckReport {
@@ -169,17 +147,9 @@ impl fmt::Display for CheckReport {
                 writeln!(f, "  {said}")?;
             }
             for configured in &robot.configurations {
-                writeln!(
-                    f,
-                    "  axis {}: {} asks for {} writes and notes {} values more",
-                    configured.axis, configured.file, configured.writes, configured.left_out
-                )?;
-                if configured.defaults > 0 {
-                    let defaults = configured.defaults;
-                    writeln!(f, "    {defaults} writes are of defaults, made where the drive holds another value")?;
-                }
-                if configured.compared > 0 {
-                    writeln!(f, "    {} read-only values are compared with the drive", configured.compared)?;
+                for (number, line) in configured.lines().enumerate() {
+                    let indent = if number == 0 { "  " } else { "    " };
+                    writeln!(f, "{indent}{line}")?;
                 }
             }
         }
