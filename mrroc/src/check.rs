@@ -22,8 +22,11 @@ pub struct CheckReport {
     cell: String,
     period_us: u32,
     robots: Vec<CheckedRobot>,
-    /// Duration of the task without homing, s.
-    program_s: f64,
+    /// Duration of the task without homing, s; null if only the rehearsal with the scene came to its end.
+    program_s: Option<f64>,
+    /// Duration of the rehearsal with the scene, with homing, s.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    with_scene_s: Option<f64>,
     buses: Vec<BusBudget>,
     io: Vec<CheckedIo>,
     /// Functions that the cell needs and its emulation lacks. Real robots may have them.
@@ -67,10 +70,23 @@ impl CheckedIo {
 /// Checks a cell with a task: rehearses the task, computes the load of the buses, and creates all parts of a run. The
 /// run is taken to have an operator.
 pub fn check(file: &CellFile, program: &Program) -> anyhow::Result<CheckReport> {
+    check_by(file, program, rehearsal::rehearse)
+}
+
+/// Checks a cell as [`check`] does, and rehearses the task with the emulated scene too.
+pub fn check_with_scene(file: &CellFile, program: &Program) -> anyhow::Result<CheckReport> {
+    check_by(file, program, |file, program| rehearsal::rehearse_with_scene(file, program, &Arc::default()))
+}
+
+fn check_by(
+    file: &CellFile,
+    program: &Program,
+    rehearse: impl FnOnce(&CellFile, &Program) -> anyhow::Result<Rehearsed>,
+) -> anyhow::Result<CheckReport> {
     let file = &file.for_one_run();
     let program = &program.clone().with_operator(OperatorLink::new(1).0);
     let buses = budget::check(file)?;
-    let rehearsed = rehearsal::rehearse(file, program)?;
+    let rehearsed = rehearse(file, program)?;
     let warnings = file.configuration_warnings().chain(rehearsed.overloads(file)?).collect();
     assemble(file, program, &rehearsed)?;
     let robots = file.cell.robot.iter().enumerate().map(|(number, robot)| CheckedRobot {
@@ -84,7 +100,8 @@ pub fn check(file: &CellFile, program: &Program) -> anyhow::Result<CheckReport> 
         cell: file.cell.name.clone(),
         period_us: file.cell.period_us,
         robots: robots.collect(),
-        program_s: rehearsed.duration.as_secs_f64(),
+        program_s: rehearsed.duration.map(|duration| duration.as_secs_f64()),
+        with_scene_s: rehearsed.with_scene.map(|duration| duration.as_secs_f64()),
         buses,
         io: file.cell.io.iter().map(CheckedIo::of).collect(),
         problems: emulation::problems(file).map(|problem| problem.to_string()).collect(),
@@ -162,7 +179,12 @@ impl fmt::Display for CheckReport {
             }
             writeln!(f)?;
         }
-        writeln!(f, "programs take {:.1} s after homing", self.program_s)?;
+        if let Some(seconds) = self.program_s {
+            writeln!(f, "programs take {seconds:.1} s after homing")?;
+        }
+        if let Some(seconds) = self.with_scene_s {
+            writeln!(f, "rehearsed with the scene: {seconds:.1} s with homing")?;
+        }
         for bus in &self.buses {
             self.write_bus(f, bus)?;
         }
