@@ -30,17 +30,15 @@ pub fn rehearse_with_scene(file: &CellFile, program: &Program, stop: &Arc<Atomic
     let InScene { duration, instructions, moved } = in_scene;
     let wanted = moved.clone();
     let rehearsed = aside(file, program, move |file, program, turns| {
-        let at_home = |motors| courses(file, motors);
         match from_home(file, program, turns) {
             Ok(rehearsed) => {
                 beside_home(file, program, &wanted, turns)?;
                 Ok(rehearsed)
             }
             Err(_) => {
-                let never = AtomicBool::new(false);
-                let start = at_home(&|home| home.motors);
-                let first = run(file, program, &start, Extent::FirstMotions(&wanted), &never, turns);
-                if first.is_ok() {
+                let (home, never) = (courses(file, &|home| home.motors), AtomicBool::new(false));
+                // A first motion that needs contact is refused from home already.
+                if run(file, program, &home, Extent::FirstMotions(&wanted), &never, turns).is_ok() {
                     beside_home(file, program, &wanted, turns)?;
                 }
                 Ok(Rehearsed::unknown(wanted))
