@@ -64,7 +64,7 @@ pub mod tasks;
 mod trace;
 pub mod wire;
 
-pub use check::check;
+pub use check::{check, check_with_scene};
 pub use controller::coordination::carry;
 #[cfg(feature = "command-line")]
 pub use extension::Extension;

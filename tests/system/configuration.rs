@@ -64,6 +64,9 @@ fn the_published_data_sheet_is_the_one_the_command_prints() {
     Eds::read(sheet().as_bytes()).unwrap();
     let nobody = mrroc(["eds".as_ref(), cell.as_os_str(), "elbow".as_ref()]);
     refused(&nobody, &["no axis is called \"elbow\"", "irb6.column (node 1)"]);
+    let serial = mrroc(["eds".as_ref(), example("irb6-serial").as_os_str(), "column".as_ref()]);
+    refused(&serial, &["irb6-serial.toml: the cell has no drive on CAN"]);
+    assert!(!serial.stderr.contains("there are"), "{serial:?}");
     // The column of the IRb-6 is on a serial line.
     let two = mrroc(["eds".as_ref(), example("lab").as_os_str(), "column".as_ref()]);
     refused(&two, &["more than one axis is called \"column\"", "irp6-track.column (node"]);
@@ -370,6 +373,44 @@ fn a_flaw_on_which_no_value_depends_is_a_warning() {
         let warning = format!("motor.dcf:{line}: out of range; -2147483648 to 2147483647 fit; no value depends on it");
         assert!(run.stderr.contains(&warning), "{run:?}");
     }
+}
+
+#[test]
+fn report_and_page_of_a_run_say_what_a_dcf_asks_for_and_what_is_flawed_in_it() {
+    let (text, line) = dcf(&[
+        ("6064", "HighLimit=0x100000000"),
+        ("6041", "ParameterValue=0x0637"),
+        ("1018sub4", "ParameterValue=0"),
+        ("6068", "ParameterValue=0x7B"),
+    ]);
+    let directory = Directory::new();
+    let cell = cell(&directory, &text, |_| {});
+    let run = |json: bool| {
+        let out = directory.path(if json { "json" } else { "text" });
+        let words = ["run".as_ref(), cell.as_os_str(), "--bench".as_ref(), "lockstep".as_ref()];
+        let words = words.into_iter().chain(["--out".as_ref(), out.as_os_str()]);
+        let run = mrroc(words.chain(json.then_some("--json".as_ref())));
+        assert_eq!(run.status.code(), Some(0), "{run:?}");
+        (run, fs::read_to_string(out.join("report.html")).unwrap())
+    };
+    let flaw = format!("motor.dcf:{line}: out of range; -2147483648 to 2147483647 fit; no value depends on it");
+    let (json, page) = run(true);
+    let report = &json.json()["configurations"];
+    assert_eq!(report.as_array().map(Vec::len), Some(1), "{json:?}");
+    let of_axis = &report[0];
+    assert_eq!(of_axis["axis"], "column");
+    assert!(of_axis["file"].as_str().unwrap().ends_with("motor.dcf"), "{of_axis}");
+    for (key, count) in [("writes", 1), ("defaults", 0), ("compared", 1), ("left_out", 1)] {
+        assert_eq!(of_axis[key], count, "{key}: {of_axis}");
+    }
+    assert!(of_axis["warnings"][0].as_str().unwrap().ends_with(&flaw), "{of_axis}");
+    let asked = "motor.dcf asks for 1 writes and notes 1 values more; 1 read-only values are compared with the drive";
+    for said in [asked, &flaw, "1 of 1 read-only values differ from the device configuration file"] {
+        assert!(page.contains(said), "{said}: {page}");
+    }
+    let (printed, _) = run(false);
+    assert!(printed.stdout.contains(asked), "{printed:?}");
+    assert!(printed.stderr.contains(&flaw), "{printed:?}");
 }
 
 #[test]

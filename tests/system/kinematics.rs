@@ -103,11 +103,14 @@ fn forward_inverse_and_motors_agree_for_every_robot() {
 
 #[test]
 fn forward_answers_beyond_a_limit_without_motors_and_says_which() {
-    let found = answer("fk --robot rnt --joints 0.2,-0.1,1.3,0,0.5,0");
+    let joints = "--robot rnt --joints 0.2,-0.1,1.3,0,0.5,0";
+    let found = answer(&format!("fk {joints}"));
     assert!(found["motors"].is_null() && !found["position"].is_null(), "{found}");
     let note = "no motors: axis 2: joint at 1.300000 is beyond its limit 1.200000 (rad, or m of a linear joint)";
-    let notes = found["notes"].as_array().unwrap();
-    assert!(notes.iter().any(|found| found == note), "{notes:?}");
+    for found in [found, answer(&format!("jacobian {joints}"))] {
+        let notes = found["notes"].as_array().unwrap();
+        assert!(notes.iter().any(|found| found == note), "{notes:?}");
+    }
 }
 
 #[test]

@@ -63,6 +63,7 @@ mod reaction;
 mod readme;
 mod recordings;
 mod regression;
+mod rehearsal;
 mod repetition;
 mod report;
 mod serial_answers;

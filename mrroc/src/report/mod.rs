@@ -4,6 +4,7 @@
 //! robot was from its commanded path; `curves.rs` and `plots.rs` are what the page shows of that. `last_cycles.rs`
 //! keeps the cycles up to a fault.
 
+mod configuration;
 mod curves;
 mod fault;
 mod last_cycles;
@@ -28,6 +29,7 @@ use servo::{Counters, Histogram, Servo, Timing};
 use crate::{budget::BusBudget, cell::CellFile, run::ServoHang, wire::WireReport};
 
 pub use crate::row_file::IncompleteFile;
+pub use configuration::ConfigurationReport;
 pub use fault::{ErrorPlace, FaultReport};
 pub use last_cycles::{CycleState, LastCycles};
 #[cfg(feature = "pages")]
@@ -92,6 +94,8 @@ pub struct RunReport {
     pub slowed: Vec<SlowedReport>,
     /// Further slowed motions, which are counted alone.
     pub more_slowed: u64,
+    /// Device configuration files of the axes: what they ask for, and their flaws.
+    pub configurations: Vec<ConfigurationReport>,
     /// Axes that oscillated about their set-points.
     pub oscillations: Vec<OscillationReport>,
     /// Errors that drives reported without a fault.
@@ -178,6 +182,7 @@ impl RunReport {
         Self {
             cell: file.cell.name.clone(),
             bench,
+            configurations: ConfigurationReport::all(file),
             oscillations: oscillations.collect(),
             warnings: warnings.collect(),
             robots: end.tracks.reports(),

@@ -46,6 +46,9 @@ pub(crate) fn page(report: &RunReport, tracks: &Tracks, timing: &Timing) -> Resu
     list(&mut page, "Oscillations", &report.oscillations);
     let troubles: Vec<_> = report.buses.iter().filter_map(BusReport::trouble).collect();
     list(&mut page, "Errors on buses", &troubles);
+    list(&mut page, "Device configurations", &report.configurations);
+    let flaws: Vec<_> = report.configurations.iter().flat_map(|configuration| configuration.warnings()).collect();
+    list(&mut page, "Flaws of device configuration files", &flaws);
     list(&mut page, "Warnings", &report.warnings);
     if report.more_warnings > 0 {
         let more = report.more_warnings;

@@ -102,6 +102,9 @@ impl fmt::Display for RunReport {
         for wire in &self.wire {
             write!(f, "{wire}")?;
         }
+        for configuration in &self.configurations {
+            writeln!(f, "configuration: {configuration}")?;
+        }
         for denied in &self.denied {
             writeln!(f, "denied: {denied}")?;
         }

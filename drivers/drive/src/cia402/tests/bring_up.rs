@@ -253,6 +253,12 @@ fn a_mode_that_is_not_supported_is_named() {
 }
 
 #[test]
+fn a_drive_that_sends_no_heartbeat_is_not_said_to_be_in_another_state() {
+    let error = BringUpError::NotOperational { node: 2, waited: Duration::from_millis(1500) };
+    assert_eq!(error.to_string(), "node 2: no heartbeat showed the state operational, waited 1.5s");
+}
+
+#[test]
 fn every_failure_names_the_node_and_what_it_said() {
     type Break = fn(&mut Store);
     let node = 2;
