@@ -196,6 +196,7 @@ impl Rig {
             acceleration: None,
             torque: [0.0; MAX_AXES],
             law: Some(task.into()),
+            continues_law: false,
         };
         self.link.orders.push(Order::Move(macrostep)).expect("there is room");
     }

@@ -42,6 +42,12 @@ pub struct Macrostep {
     /// A macrostep with a law may follow one without. A macrostep without a law is refused directly after one with a law
     /// ([`StopCause::LawLeft`]), because the position would jump by the displacement. The motion has to end first.
     pub law: Option<LawParameters>,
+    /// Whether this first macrostep of a motion continues the path from which the law displaced the motion before. The
+    /// path then begins at the set-point less [`Snapshot::displacement`], and the displacement goes on.
+    ///
+    /// The law must have [kept](crate::CycleLaw::keeps) the displacement, and `law` must be that of the motion before.
+    /// Otherwise the macrostep is refused ([`StopCause::Malformed`]).
+    pub continues_law: bool,
 }
 
 /// An order of the controller to one effector.
@@ -205,8 +211,9 @@ pub enum StopCause {
     /// A set-point that is NaN or infinite. The set-point was not sent.
     #[error("set-point is not a finite number")]
     NotFinite,
-    /// A macrostep without steps, or with `report_at` beyond its steps. The macrostep was not begun.
-    #[error("macrostep {number} has no steps or its report lies outside it")]
+    /// A macrostep without steps, with `report_at` beyond its steps, or one that continues a displacement which its law
+    /// does not have. The macrostep was not begun.
+    #[error("macrostep {number} has no steps, its report lies outside it, or it continues another law")]
     Malformed { number: u64 },
     /// The next macrosteps of a team have unequal lengths. No macrostep was begun.
     #[error("macrostep {number} has {steps} periods, that of a partner {other}")]

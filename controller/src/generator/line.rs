@@ -319,7 +319,7 @@ impl StraightLine {
         for axis in 0..self.arm.axes() {
             let by = (to[axis] - from[axis]).abs();
             if by > JUMP {
-                return Err(GeneratorError::Jump { s, axis: axis as u8, by });
+                return Err(GeneratorError::jump(s, axis, by));
             }
         }
         Ok(())

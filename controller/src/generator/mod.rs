@@ -203,6 +203,13 @@ pub trait Generator: Send + Sync + 'static {
         false
     }
 
+    /// Parameters of the effector's cycle law that all macrosteps carry, if they are known before the first step. If the
+    /// motion before ended under the same parameters and its law has kept its displacement, the commanded state of the
+    /// first step is the end of that path, not the place to which the law has displaced the effector.
+    fn law(&self) -> Option<LawParameters> {
+        None
+    }
+
     /// Plans the motion and returns the first outputs and memory. The effector stands, unless the generator
     /// [begins in motion](Self::begins_in_motion). The macrostep is not zero. Only this function may take longer than a
     /// macrostep. If the effector moves, the result is due before the last macrostep sent ends.

@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use drive::wrench::{WrenchLink, WrenchState, Zeroing};
 use nalgebra::{Isometry3, UnitQuaternion, Vector3, Vector6};
-use servo::{CycleLaw, LawFault, LawInput, LawOutput, LawParameters, MAX_AXES};
+use servo::{CycleLaw, LawAxis, LawFault, LawInput, LawOutput, LawParameters, MAX_AXES};
 use thiserror::Error;
 
 use super::directions::{Behaviour, Frame, Guard};
@@ -40,7 +40,8 @@ pub struct PositionForce {
     sensor: WrenchLink,
     /// Velocity of each direction in the last cycle, m/s and rad/s.
     velocity: Vector6<f64>,
-    /// Integral of the velocity since the law began, m and rad.
+    /// Displacement of the tool from the path in the task frame: at the beginning that of the set-points, then the integral
+    /// of the velocity, m and rad.
     displacement: Vector6<f64>,
     /// Motor velocities of the last cycle, rad/s.
     motor_velocity: Axes,
@@ -225,6 +226,27 @@ impl PositionForce {
         Ok(contact.seen_from(&(base_from_task.inverse() * base_from_sensor)).components().map(|component| -component))
     }
 
+    /// Displacement of the tool from the path by the displacements of the motors, in the task frame, m and rad.
+    fn kept_displacement(&self, input: &LawInput<'_>) -> Result<Vector6<f64>, LawFault> {
+        let axes = self.config.arm.axes();
+        let Some(given) = input.axes.get(..axes) else { return Err(LawFault::Unreachable) };
+        if given.iter().all(|axis| axis.displacement == 0.0) {
+            return Ok(Vector6::zeros());
+        }
+        let tool = |place: fn(&LawAxis) -> f64| {
+            let mut motors = [0.0; MAX_AXES];
+            motors.iter_mut().zip(given).for_each(|(motor, axis)| *motor = place(axis));
+            let arm = &self.config.arm;
+            arm.joints(&motors).and_then(|joints| arm.forward(&joints)).map_err(refused)
+        };
+        let path = tool(|axis| axis.planned.position)?;
+        let here = tool(|axis| axis.planned.position + axis.displacement)?;
+        let shift = here.translation.vector - path.translation.vector;
+        let turn = (here.rotation * path.rotation.inverse()).scaled_axis();
+        let in_base = Vector6::new(shift.x, shift.y, shift.z, turn.x, turn.y, turn.z);
+        Ok(turned(&self.frame.base_from_task(&here.rotation).inverse(), &in_base))
+    }
+
     /// Part of the change to the motor velocities `wanted` that keeps all limits, 0 to 1.
     fn share(&self, wanted: &Axes, dt: f64) -> f64 {
         let mut share = 1.0_f64;
@@ -246,11 +268,17 @@ impl CycleLaw for PositionForce {
         Behaviour::read(parameters).map(drop)
     }
 
-    fn begin(&mut self, _: &LawInput<'_>, parameters: &LawParameters) {
-        (self.velocity, self.displacement) = (Vector6::zeros(), Vector6::zeros());
+    fn keeps(&self, parameters: &LawParameters) -> bool {
+        Behaviour::read(parameters).is_ok_and(|behaviour| behaviour.has_spring())
+    }
+
+    fn begin(&mut self, input: &LawInput<'_>, parameters: &LawParameters) {
+        self.velocity = Vector6::zeros();
         self.motor_velocity = [0.0; MAX_AXES];
         self.frame = Behaviour::read(parameters).map(|behaviour| behaviour.frame).unwrap_or_default();
         self.touch = Touch::default();
+        // A posture without a pose of the tool ends the motion in `shift`.
+        self.displacement = self.kept_displacement(input).unwrap_or_else(|_| Vector6::zeros());
     }
 
     fn shift(&mut self, input: &LawInput<'_>, parameters: &LawParameters) -> LawOutput {

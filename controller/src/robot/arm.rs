@@ -10,6 +10,11 @@ use super::{ArmParameters, Jacobian, KinematicsError, Limits, Link, solutions::S
 /// as lying on an axis. A pose this close to a singularity is reached within the same bound.
 pub(super) const PARALLEL: f64 = 1e-10;
 
+/// A pose nearer than this to a singular pose counts as singular, and its open parameter is that of the present posture.
+/// The sine of an angle. A singular pose that was written with nine digits is this near, and its own parameter is a
+/// product of the rounding. The orientation is met within the same bound, which is far below a count of an encoder.
+pub(super) const INDISTINCT: f64 = 1e-8;
+
 pub(super) const COLUMN: usize = 0;
 pub(super) const SHOULDER: usize = 1;
 pub(super) const ELBOW: usize = 2;

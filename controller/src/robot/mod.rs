@@ -265,7 +265,7 @@ pub enum KinematicsError {
     Unreachable { margin: f64 },
     /// The pose leaves an axis undetermined. `margin` is the distance of the flange from the axis, m, or the sine of
     /// the angle between the two axes.
-    #[error("axis {axis} is undetermined {margin:.1e} from a singular pose")]
+    #[error("axis {axis} is undetermined {margin:.1e} from a singular pose: take a pose beside it, or joints")]
     Singular { axis: u8, margin: f64 },
     /// The legs cannot have these lengths at the same time. Legs are counted from 0. `residual` is the requested length
     /// minus the length in the closest posture found.
