@@ -41,6 +41,7 @@ mod frame_order;
 pub mod guardian;
 pub mod input;
 mod inputs;
+mod lag;
 mod motions;
 #[cfg(feature = "command-line")]
 mod operator;

@@ -37,6 +37,7 @@ use servo::{PositionLoop, Servo, lockstep};
 
 use crate::cell::{CellFile, FileError, Path, instruction_path};
 use crate::demand::{self, Demand, RobotDemand};
+use crate::lag::{self, Lag};
 use crate::run::{returned, returned_after};
 use crate::tasks::{Equipment, Figures, Program, TaskError};
 use crate::{setup, streams};
@@ -83,15 +84,19 @@ pub struct Rehearsed {
     pub(crate) refused: Option<Demand>,
     /// The greatest torque of each axis beyond its limit.
     pub(crate) overloads: Vec<Demand>,
+    /// Axes that may lag behind their set-points.
+    pub(crate) lags: Vec<Lag>,
     /// Time for which the task was seen in one turn.
     pub blocked: Duration,
 }
 
 impl Rehearsed {
-    /// Warnings of axes that the task overloads by nominal numbers, or the refusal of such a task by numbers that the
-    /// user gave. Both concern emulated robots, with their payloads and their surroundings.
+    /// Warnings of axes that the task overloads or that may lag behind, by nominal numbers, or the refusal of an overload by
+    /// numbers that the user gave. Both concern emulated robots, with their payloads and their surroundings.
     pub fn overloads(&self, file: &CellFile) -> anyhow::Result<Vec<String>> {
-        demand::judge(file, self.refused.as_ref(), &self.overloads)
+        let mut warnings = demand::judge(file, self.refused.as_ref(), &self.overloads)?;
+        warnings.extend(lag::warnings(file, &self.lags));
+        Ok(warnings)
     }
 }
 
@@ -331,11 +336,12 @@ fn run(
         }
         None => {}
     }
+    let lags = demands.iter().flat_map(|demand| demand.lags(file)).collect();
     let (refused, overloads): (Vec<_>, Vec<_>) = demands.into_iter().map(RobotDemand::found).unzip();
     let (refused, overloads) = (refused.into_iter().flatten().next(), overloads.into_iter().flatten().collect());
     let (instructions, blocked) = (ended.iter().sum(), Duration::ZERO);
     let duration = Some(duration);
-    Ok(Rehearsed { duration, with_scene: None, instructions, moved, refused, overloads, blocked })
+    Ok(Rehearsed { duration, with_scene: None, instructions, moved, refused, overloads, lags, blocked })
 }
 
 /// The refusal of an instruction.

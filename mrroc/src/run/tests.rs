@@ -46,6 +46,7 @@ impl Stage {
             moved: vec![moved; 2],
             refused: None,
             overloads: Vec::new(),
+            lags: Vec::new(),
             blocked: Duration::ZERO,
         };
         let task = RunningTask::new(

@@ -66,6 +66,8 @@ pub(crate) struct Learnt {
     pub(crate) mode_shown: Option<ModeOfOperation>,
     /// Software position limits of the drive that lie within the positions of the cell.
     pub(crate) software_limits: Option<WarningCause>,
+    /// Whether the drive lacks object 0x1029:01.
+    pub(crate) lacks_error_behaviour: bool,
     /// Comparison of the settings of [`Purpose::Compare`].
     pub(crate) comparison: Comparison,
 }
@@ -75,7 +77,8 @@ impl Learnt {
     pub(crate) fn warnings(&self) -> impl Iterator<Item = WarningCause> + use<> {
         let Comparison { values, different, first } = self.comparison;
         let compared = first.map(|first| WarningCause::Compared { values, different, first });
-        compared.into_iter().chain(self.software_limits)
+        let unknown = self.lacks_error_behaviour.then_some(WarningCause::NoErrorBehaviour);
+        compared.into_iter().chain(self.software_limits).chain(unknown)
     }
 }
 
@@ -412,7 +415,10 @@ impl NodeBringUp {
                 self.unwatched = !is_timer(write.object);
                 return Ok(Next::Step);
             }
-            Step::Set(_, Need::Optional) if absent => return Ok(Next::Step),
+            Step::Set(write, Need::Optional) if absent => {
+                self.learnt.lacks_error_behaviour |= write.object == canopen::objects::ERROR_BEHAVIOUR;
+                return Ok(Next::Step);
+            }
             Step::Set(_, Need::Optional) if read_only && !reading_back => {
                 return Ok(Next::ReadBack);
             }

@@ -89,9 +89,10 @@ fn an_epos4_is_asked_and_told_this_frame_by_frame() {
             expected.extend(["C56000", "C66000"].map(|object| format!("602#40{object}00000000")));
         }
         if told.starts_with("602#239A60") {
-            // This store lacks the reaction to a lost connection and the offsets. An EPOS4 lacks the home offset.
+            // Behind the reaction to a lost connection, objects that this store lacks. An EPOS4 lacks the home offset.
             for lacking in [
                 "2F29100100000000",
+                "4029100100000000",
                 "2B5B600001000000",
                 "2B5C600001000000",
                 "2B5D600001000000",
