@@ -129,10 +129,12 @@ fn assemble(file: &CellFile, program: &Program, rehearsed: &Rehearsed) -> anyhow
     Ok(())
 }
 
-/// How the inverse kinematics of a chain works, and what its emulation lacks.
+/// How the inverse kinematics of a chain works, and what the emulation of a described robot lacks.
 fn chain(numbers: &Parameters) -> Vec<String> {
-    let Parameters::Chain(given) = numbers else {
-        return Vec::new();
+    let given = match numbers {
+        Parameters::Chain(given) => given,
+        Parameters::Own(_) => return vec!["each emulated axis moves a load of its own, without weight".to_owned()],
+        _ => return Vec::new(),
     };
     let form = Chain::new(given).expect("a parsed chain is sound").closed_form();
     let inverse = match form {

@@ -190,6 +190,7 @@ fn laws_and_their_ends_do_not_allocate() {
                 acceleration: None,
                 torque: [0.0; MAX_AXES],
                 law: Some(LawParameters::default()),
+                continues_law: false,
             };
             let _ = links[0].orders.push(Order::Move(macrostep));
             run(&mut servo, 10);

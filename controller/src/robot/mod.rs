@@ -93,8 +93,12 @@ pub trait RobotParameters: Clone {
 
     /// The same numbers with room at home, in each range that includes the home position. The motors, in the order of
     /// the axes, come to rest up to these distances beside their home positions, rad.
+    ///
+    /// The default leaves the ranges as they are, for a robot whose ranges extend to both sides of home.
     #[must_use]
-    fn with_room_at_home(self, motors: &[f64]) -> Self;
+    fn with_room_at_home(self, _motors: &[f64]) -> Self {
+        self
+    }
 
     /// Nominal masses of the links: plausible figures, to be replaced by those of the machine at hand.
     fn masses(&self) -> Vec<Mass> {
@@ -218,6 +222,14 @@ impl Limits {
     /// Whether neither side has a limit.
     pub const fn is_continuous(&self) -> bool {
         self.low == f64::NEG_INFINITY && self.high == f64::INFINITY
+    }
+
+    /// Refuses a position of axis `axis` beyond its limit.
+    pub fn check(&self, space: Space, axis: usize, position: f64) -> Result<(), KinematicsError> {
+        match self.exceeded_by(position) {
+            Some(limit) => Err(KinematicsError::BeyondLimit { space, axis: axis as u8, value: position, limit }),
+            None => Ok(()),
+        }
     }
 
     /// The limit that `position` exceeds. A NaN exceeds the lower limit.

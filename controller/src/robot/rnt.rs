@@ -10,7 +10,7 @@ use super::{
     GearAxis, Jacobian, Joints, KinematicsError, Limits, Link, LinkKind, Mass, MotorRating, Motors, ParameterError,
     Robot, RobotParameters, Solutions, Space,
     arm::{self, INDISTINCT, PARALLEL},
-    drive_train::{self, DriveTrain, TrainAxis},
+    drive_train::{DriveTrain, TrainAxis},
     legs::{self, Legs, Posture},
     parameters,
     solutions::Search,
@@ -214,7 +214,7 @@ impl Rnt {
     fn driven(&self, joints: &[f64; AXES]) -> Result<[f64; AXES], KinematicsError> {
         let mut driven = *joints;
         for (axis, &joint) in joints.iter().enumerate().take(3) {
-            drive_train::check(&self.joint_limits[axis], joint, axis, Space::Joint)?;
+            self.joint_limits[axis].check(Space::Joint, axis, joint)?;
         }
         let [alpha, beta, rho, ..] = *joints;
         let lengths = self.legs.lengths(&[alpha, beta, rho]);

@@ -97,6 +97,7 @@ impl Rehearsed {
             moved,
             refused: None,
             overloads: Vec::new(),
+            lags: Vec::new(),
             blocked: Duration::ZERO,
         }
     }

@@ -1,7 +1,6 @@
 //! Data sheet of a robot: its parameters with unit, tag and source, and its position loops.
 
 use std::fmt::Write as _;
-use std::mem::discriminant;
 
 use controller::robot::RobotParameters as _;
 use mrroc::cell::Model;
@@ -41,8 +40,8 @@ pub(crate) const BY_DRIVE: &str = "by the drive (CSP): emulated with a velocity 
 pub(crate) fn sheet(machine: &Machine) -> String {
     let described_as = described(&machine.parameters);
     // Built-in parameters of robots of the same kind.
-    let mut presets = Model::ALL.map(Model::parameters).to_vec();
-    presets.retain(|preset| discriminant(preset) == discriminant(&machine.parameters));
+    let mut presets: Vec<_> = Model::all().into_iter().map(Model::parameters).collect();
+    presets.retain(|preset| preset.name() == machine.parameters.name());
     let presets: Vec<_> = presets.iter().map(described).collect();
     let (name, about) = (&machine.name, described_as.about);
     let of_cell = if presets.is_empty() { " --cell CELL" } else { "" };

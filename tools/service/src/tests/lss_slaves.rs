@@ -111,7 +111,7 @@ fn every_node_is_found_once_though_some_answer_everything_once_they_are_found() 
                 let slaves: Vec<_> = serials.iter().copied().zip(oddities).collect();
                 let mut expected: Vec<_> = serials.iter().map(|serial| identity(*serial)).collect();
                 expected.sort_by_key(|identity| identity.serial);
-                assert_eq!(scan(&slaves), (expected, Option::None), "{slaves:?}");
+                assert_eq!(scan(&slaves), (expected, None), "{slaves:?}");
             }
         }
     }
@@ -121,7 +121,7 @@ fn every_node_is_found_once_though_some_answer_everything_once_they_are_found() 
 fn slow_drive(delay: Duration) -> Stage {
     let mut stage = Stage::with(&[3]);
     let config = Epos4Config::new(node(9), AxisConfig::irp6(Irp6Axis::ALL[0]));
-    let config = Epos4Config { node: Option::None, lss_delay: delay, power_on: stage.now, ..config };
+    let config = Epos4Config { node: None, lss_delay: delay, power_on: stage.now, ..config };
     stage.world.add_device(stage.bus, Box::new(Epos4::new(config)));
     stage.pass(Duration::from_secs(1));
     stage
@@ -136,7 +136,7 @@ fn an_answer_after_the_end_of_a_scan_is_noticed_with_its_delay() {
         stage.hold(&mut dialogue);
         let late = dialogue.late();
         let (found, failed) = dialogue.found();
-        assert_eq!((found.len(), failed), (usize::from(finds), Option::None), "{wait} ms");
+        assert_eq!((found.len(), failed), (usize::from(finds), None), "{wait} ms");
         assert_eq!(late.is_some(), !finds, "{wait} ms: {late:?}");
         if let Some(late) = late {
             assert!(late >= delay && late < delay + Duration::from_millis(3), "{late:?}");
@@ -146,7 +146,7 @@ fn an_answer_after_the_end_of_a_scan_is_noticed_with_its_delay() {
     let mut stage = slow_drive(Duration::ZERO);
     let mut dialogue = Dialogue::scan(Duration::from_millis(20));
     stage.hold(&mut dialogue);
-    assert_eq!(dialogue.late(), Option::None);
+    assert_eq!(dialogue.late(), None);
 }
 
 #[test]
