@@ -228,7 +228,7 @@ fn answer(command: Command, extension: &Extension) -> anyhow::Result<ExitCode> {
     match command {
         Command::Check { cell, task, rehearse_with_scene, json } => {
             let checked = if rehearse_with_scene { mrroc::check_with_scene } else { mrroc::check };
-            check(checked(&CellFile::read(&cell)?, &task.program(extension)?)?, json)
+            check(&checked(&CellFile::read(&cell)?, &task.program(extension)?)?, json)
         }
         Command::Doctor(options) => host::doctor::doctor(&options),
         Command::Run { cell, task, options } => {
@@ -264,7 +264,7 @@ fn answer(command: Command, extension: &Extension) -> anyhow::Result<ExitCode> {
     }
 }
 
-fn check(checked: CheckReport, json: bool) -> anyhow::Result<ExitCode> {
+fn check(checked: &CheckReport, json: bool) -> anyhow::Result<ExitCode> {
     for problem in &checked.problems {
         streams::warn(format_args!(
             "mrroc: {problem}; only for robots that are wired otherwise than the emulated ones"
@@ -273,7 +273,7 @@ fn check(checked: CheckReport, json: bool) -> anyhow::Result<ExitCode> {
     for warning in &checked.warnings {
         streams::warn(format_args!("mrroc: {warning}"));
     }
-    streams::answer(&checked, json)
+    streams::answer(checked, json)
 }
 
 /// Replays a recording. Exit status 1 if an output differs, and 2 if the recording was cut or is damaged.

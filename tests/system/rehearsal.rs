@@ -13,9 +13,7 @@ use ::mrroc::tasks::Cell;
 use kit::mrroc::{Directory, example, mrroc, shorten};
 use kit::refusals::refused;
 
-#[path = "../../examples/push_until.rs"]
-#[expect(dead_code, reason = "the program of the example has a main of its own")]
-mod push_until;
+use crate::force_cell::push_until;
 
 /// Beginnings of a task: on ideal drives, in rehearsals with the scene, and in runs.
 #[derive(Clone, Default)]

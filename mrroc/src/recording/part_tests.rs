@@ -82,7 +82,7 @@ fn recordings() -> [(tempfile::TempDir, PathBuf); 2] {
         for name in ["puma560.toml", "puma560.urdf"] {
             fs::copy(cells.join(name), directory.path().join(name)).unwrap();
         }
-        let file = CellFile::read(&directory.path().join("puma560.toml")).unwrap();
+        let file = CellFile::read(directory.path().join("puma560.toml")).unwrap();
         let recording = directory.path().join("run.mcap");
         let options = RunOptions { record: Some(recording.clone()), ..RunOptions::on(BenchKind::Lockstep) };
         crate::run::run(&file, &options, &Requests::default(), &CarriedTask::Home.program(), &mut |_| {}).unwrap();

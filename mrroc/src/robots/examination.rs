@@ -95,7 +95,8 @@ fn derivative(robot: &dyn Robot, joints: &Joints) -> Result<(), String> {
         let turn = (after.rotation * before.rotation.inverse()).scaled_axis() / (2.0 * STEP);
         for row in 0..6 {
             let (stated, found) = (jacobian[(row, axis)], if row < 3 { linear[row] } else { turn[row - 3] });
-            if !((stated - found).abs() <= DERIVATIVE * (1.0 + found.abs())) {
+            let is_close = (stated - found).abs() <= DERIVATIVE * (1.0 + found.abs());
+            if !is_close {
                 return Err(format!(
                     "jacobian at the joints {joints:?} has {stated:.6} in row {row}, column {axis}, and forward changes by \
                      {found:.6}"

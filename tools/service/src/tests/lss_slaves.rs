@@ -111,7 +111,7 @@ fn every_node_is_found_once_though_some_answer_everything_once_they_are_found() 
                 let slaves: Vec<_> = serials.iter().copied().zip(oddities).collect();
                 let mut expected: Vec<_> = serials.iter().map(|serial| identity(*serial)).collect();
                 expected.sort_by_key(|identity| identity.serial);
-                assert_eq!(scan(&slaves), (expected, None), "{slaves:?}");
+                assert_eq!(scan(&slaves), (expected, Option::None), "{slaves:?}");
             }
         }
     }
