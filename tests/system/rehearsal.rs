@@ -133,7 +133,6 @@ fn a_program_that_runs_into_a_wall_is_told_before_anything_moves() {
     for words in [
         &["check"][..],
         &["run", "--bench", "lockstep", "--trace", trace],
-        &["run", "--bench", "emulated", "--trace", trace],
         // The interface of the cell is not opened.
         &["run", "--bench", "card", "--trace", trace],
     ] {
