@@ -90,13 +90,14 @@ pub(super) fn findings(tree: &Tree, realtime: &Realtime, tried: Result<(), Denia
             }
         }
     }
-    if in_group && !beyond_limits {
-        if let Some(mend) = &mut findings[0].mend {
-            *mend = format!(
-                "see first the row \"real-time group scheduling\": in this control group, no limit and no capability grants \
-                 it. Then: {mend}"
-            );
-        }
+    if in_group
+        && !beyond_limits
+        && let Some(mend) = &mut findings[0].mend
+    {
+        *mend = format!(
+            "see first the row \"real-time group scheduling\": in this control group, no limit and no capability grants it. \
+             Then: {mend}"
+        );
     }
     findings
 }
