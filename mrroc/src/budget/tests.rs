@@ -136,7 +136,7 @@ fn no_cell_without_axes_is_proposed() {
             assert!(!refusal.contains("0 axes would fit") && !refusal.contains("1 axes would"), "{refusal}");
         }
     }
-    assert!(said(3, 125).contains("1 axis would fit, or a period of "), "{}", said(3, 125));
+    assert!(said(3, 250).contains("1 axis would fit, or a period of "), "{}", said(3, 250));
 }
 
 #[test]

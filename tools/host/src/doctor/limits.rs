@@ -95,8 +95,8 @@ pub(super) fn findings(tree: &Tree, realtime: &Realtime, tried: Result<(), Denia
         && let Some(mend) = &mut findings[0].mend
     {
         *mend = format!(
-            "see first the row \"real-time group scheduling\": in this control group, no limit and no capability grants \
-             it. Then: {mend}"
+            "see first the row \"real-time group scheduling\": in this control group, no limit and no capability grants it. \
+             Then: {mend}"
         );
     }
     findings
