@@ -149,6 +149,7 @@ impl Rig {
             load: None,
             lag: Duration::ZERO,
             zeroed: None,
+            payload: None,
             limits,
         };
         let law = PositionForce::new(law, link).expect("the limits are sound");

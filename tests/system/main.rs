@@ -31,6 +31,7 @@ mod feed_forward;
 mod force_cell;
 mod force_inertia;
 mod force_law;
+mod force_payload;
 mod force_refusals;
 mod force_sensors;
 mod frame_order;

@@ -11,7 +11,7 @@ use super::directions::{Behaviour, Frame, Guard};
 use super::resolve;
 use crate::force::{Load, SensorMotion, Wrench};
 use crate::robot::{Arm, Axes, Joints, KinematicsError, Motors, Pose};
-use crate::sensor::ZeroedWeight;
+use crate::sensor::{Payload, ZeroedWeight};
 
 /// Speeds from which a compliant direction must move as the law requires: m/s and rad/s. Below, rounding of the
 /// mechanism's singular directions is of no effect.
@@ -47,6 +47,8 @@ pub struct PositionForce {
     motor_velocity: Axes,
     frame: Frame,
     touch: Touch,
+    /// The load behind the sensor in this motion, with its payload.
+    load: Option<Load>,
 }
 
 /// Samples in a row beyond the guard.
@@ -76,6 +78,11 @@ pub struct PositionForceConfig {
     ///
     /// [`ForceTorque::zeroed_weight`]: crate::sensor::ForceTorque::zeroed_weight
     pub zeroed: Option<ZeroedWeight>,
+    /// The part that the tool carries beside `load` ([`ForceTorque::payload`]). The law takes a change at the beginning of
+    /// a motion. `None`: no part.
+    ///
+    /// [`ForceTorque::payload`]: crate::sensor::ForceTorque::payload
+    pub payload: Option<Payload>,
     /// Limits of the law.
     pub limits: ForceLimits,
 }
@@ -119,6 +126,7 @@ impl PositionForce {
                 return Err(PositionForceError::Limit { limit, index, value });
             }
         }
+        let load = config.load;
         Ok(Self {
             config,
             sensor,
@@ -127,6 +135,7 @@ impl PositionForce {
             motor_velocity: [0.0; MAX_AXES],
             frame: Frame::default(),
             touch: Touch::default(),
+            load,
         })
     }
 
@@ -206,7 +215,7 @@ impl PositionForce {
         let measured = Wrench::from_components(state.wrench);
         let zero = self.config.zeroed.as_ref().map_or(Ok(Wrench::default()), |weight| noted(weight, state.zeroing))?;
         let orientation = self.config.upright_from_base * base_from_sensor.rotation;
-        let of_load = match &self.config.load {
+        let of_load = match &self.load {
             None => Wrench::default(),
             Some(load) => {
                 let PositionForceConfig { arm, flange_from_sensor, lag, .. } = &self.config;
@@ -277,6 +286,10 @@ impl CycleLaw for PositionForce {
         self.motor_velocity = [0.0; MAX_AXES];
         self.frame = Behaviour::read(parameters).map(|behaviour| behaviour.frame).unwrap_or_default();
         self.touch = Touch::default();
+        if let Some(payload) = &self.config.payload {
+            let load = payload.take(&self.config.load.unwrap_or_default());
+            self.load = (!load.is_none()).then_some(load);
+        }
         // A posture without a pose of the tool ends the motion in `shift`.
         self.displacement = self.kept_displacement(input).unwrap_or_else(|_| Vector6::zeros());
     }
