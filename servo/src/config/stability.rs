@@ -154,11 +154,11 @@ impl LoopPlant {
     }
 
     /// Greatest displacement, rad, of a motor at rest by a constant load that begins to act, in the unit of the output.
-    /// The loop is stable. `None` for a loop that is not checked, and for a velocity loop of the drive.
+    /// `None` for a loop that is unstable or not checked, and for a velocity loop of the drive.
     pub fn sag(&self, law: &Law, load: f64) -> Option<f64> {
         let Law::Cascade(cascade) = law else { return None };
         let law = Linear::of(cascade);
-        let is_known = self.inertia > 0.0;
+        let is_known = self.inertia > 0.0 && self.is_stable(law);
         let mut response = Response::default();
         let positions = (0..self.cycles(law)).map(|_| {
             response.step(self, law, load);
@@ -280,6 +280,9 @@ mod tests {
         assert!((sag(CASCADE.velocity_gain, 0.0) / rest - 1.0).abs() < 0.02, "{}", sag(CASCADE.velocity_gain, 0.0));
         let (stiff, soft) = (sag(CASCADE.velocity_gain, 10.0), sag(0.2 * CASCADE.velocity_gain, 10.0));
         assert!(stiff < rest && soft > 4.0 * stiff && soft < 10.0 * stiff, "{stiff}, {soft}");
+        // An unstable loop rests nowhere.
+        let law = Law::Cascade(CascadeConfig { velocity_gain: 10.0 * CASCADE.velocity_gain, ..CASCADE });
+        assert_eq!(LoopPlant::new(Duration::from_millis(2), 2, &law, &FEED_FORWARD).sag(&law, 0.4), None);
     }
 
     #[test]
