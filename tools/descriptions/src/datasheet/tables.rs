@@ -19,6 +19,8 @@ pub(crate) enum Tag {
     Nominal,
     /// Value from the cell file that differs from every preset.
     CellFile,
+    /// Value from the program that registers the robot.
+    Program,
 }
 
 pub(crate) const WUT: &str = "ptroja/mrrocpp, src/robot/irp6p_m";
@@ -132,6 +134,7 @@ impl Tag {
             Self::Derived(how) => format!("derived | {how}"),
             Self::Nominal => "nominal | none published".into(),
             Self::CellFile => "cell file | set there".into(),
+            Self::Program => "program | that of the robot".into(),
         }
     }
 }

@@ -22,7 +22,7 @@ impl Described for OwnParameters {
                 &range(&robot.joint_limits()[axis]),
                 &range(&robot.motor_limits()[axis]),
             ];
-            drive(SYMBOLS[axis], &format!("axis {axis}"), cells, Tag::CellFile)
+            drive(SYMBOLS[axis], &format!("axis {axis}"), cells, Tag::Program)
         };
         let drawn = at_home.filter(|_| !robot.links().is_empty());
         Description {
@@ -42,7 +42,7 @@ impl Described for OwnParameters {
 /// The numbers by their keys.
 fn numbers(own: &OwnParameters) -> Vec<Row> {
     let table = own.table().unwrap_or_default();
-    let row = |(key, value): (&String, &_)| Row { cells: format!("`{key}` | | {value} | "), tag: Tag::CellFile };
+    let row = |(key, value): (&String, &_)| Row { cells: format!("`{key}` | | {value} | "), tag: Tag::Program };
     table.iter().map(row).collect()
 }
 
