@@ -48,9 +48,8 @@ impl Installed {
     /// displacement if it says so.
     fn pause(&mut self, parameters: Option<&LawParameters>, braking: Option<[f64; MAX_AXES]>) {
         let law = &self.law;
-        let keeps = |parameters: &LawParameters| {
-            catch_unwind(AssertUnwindSafe(|| law.keeps(parameters))).unwrap_or_else(|_| false)
-        };
+        let keeps =
+            |parameters: &LawParameters| catch_unwind(AssertUnwindSafe(|| law.keeps(parameters))).unwrap_or(false);
         let kept = parameters.filter(|parameters| self.active && !self.panicked && keeps(parameters));
         let displacements = self.displacements();
         self.end();
