@@ -227,7 +227,7 @@ impl StraightLine {
             guide: None,
             slowed: None,
             places: Vec::with_capacity(PLACES),
-            profile: Profile { by_tool: Plan::new(0), by_joints: None, macrosteps: 0, duration: 0.0 },
+            profile: Profile { by_tool: Plan::new(), by_joints: None, macrosteps: 0, duration: 0.0 },
         })
     }
 

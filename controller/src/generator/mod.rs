@@ -83,6 +83,7 @@ mod slowed;
 mod survey;
 #[cfg(test)]
 mod tests;
+mod through;
 mod time_optimal;
 mod transparent;
 mod under_law;
