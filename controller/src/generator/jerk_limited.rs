@@ -12,7 +12,7 @@ use crate::robot::Space;
 /// A jerk-limited, time-synchronised motion through intermediate poses to a final pose. Class 0, planned from the effector.
 ///
 /// Without intermediate poses the motion is time-optimal. At an intermediate pose, an axis stops only if its direction of
-/// travel changes there. Other axes have zero acceleration there. The motion between two poses is time-optimal. No
+/// travel changes there. All accelerations are zero there. The motion between two poses is time-optimal. No
 /// duration rises if a limit rises. The trajectory is stretched by less than a servo period, to a whole number of periods.
 ///
 /// Its macrosteps last [one servo period](Pace::PERIOD): each set-point is a sample of the trajectory. Velocity,

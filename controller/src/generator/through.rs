@@ -9,11 +9,9 @@ use servo::MAX_AXES;
 use super::plan::Plan;
 use super::{Axes, GeneratorError, newsmooth::whole_macrosteps};
 
-/// Share of the greatest acceleration at a pose. Rounding must not make a section impossible.
-const NEARLY: f64 = 0.999;
-/// Distance over which an axis at rest reaches a speed at which the acceleration α and then standstill follow within
-/// the limit of jerk j, relative to α³ / j²: 1 / √8 to the speed, and 1 / 3 to standstill.
-const TURNING: f64 = 0.687;
+/// Greatest speed of an axis at a pose, relative to its speed in a section if all axes moved at constant speed. A faster
+/// axis would only wait for the others.
+const AHEAD: f64 = 1.5;
 
 /// Sections of a motion from rest to rest.
 #[derive(Debug)]
@@ -67,10 +65,8 @@ impl Sections {
             let own = &mut section.input;
             own.current_position = DataArrayOrVec::Stack(poses[index]);
             own.current_velocity = DataArrayOrVec::Stack(way.speeds(index));
-            own.current_acceleration = DataArrayOrVec::Stack(way.accelerations(index));
             own.target_position = DataArrayOrVec::Stack(poses[index + 1]);
             own.target_velocity = DataArrayOrVec::Stack(way.speeds(index + 1));
-            own.target_acceleration = DataArrayOrVec::Stack(way.accelerations(index + 1));
             own.enabled = input.enabled.clone();
             own.max_velocity = input.max_velocity.clone();
             own.max_acceleration = input.max_acceleration.clone();
@@ -108,55 +104,37 @@ impl Way<'_> {
         self.distance(section, axis).abs() / (0..MAX_AXES).map(time).fold(0.0, f64::max)
     }
 
-    /// Product of the distances before and after a pose: positive if the axis passes the pose, and negative if the axis
-    /// turns back there. Zero at the ends.
-    fn course(&self, pose: usize, axis: usize) -> f64 {
-        if pose == 0 || pose + 1 == self.poses.len() {
-            return 0.0;
-        }
-        self.distance(pose - 1, axis) * self.distance(pose, axis)
+    /// Whether an axis travels in the same direction before and after a pose.
+    fn passes(&self, pose: usize, axis: usize) -> bool {
+        let between = pose > 0 && pose + 1 < self.poses.len();
+        between && self.distance(pose - 1, axis) * self.distance(pose, axis) > 0.0
     }
 
     /// The part of the section before or after `pose` in which the axis can come to rest: half of it, or the whole if
     /// the axis rests at the other end. Every longer duration of the section is then possible.
     fn room(&self, section: usize, other: usize, axis: usize) -> f64 {
-        let share = if self.course(other, axis) == 0.0 { 1.0 } else { 0.5 };
+        let share = if self.passes(other, axis) { 0.5 } else { 1.0 };
         share * self.distance(section, axis).abs()
     }
 
     /// Velocity of each axis at a pose.
     fn speeds(&self, pose: usize) -> Axes {
         let speed = |axis: usize| {
-            if self.course(pose, axis) <= 0.0 {
+            if !self.passes(pose, axis) {
                 return 0.0;
             }
             let [acceleration, jerk] = [self.input.max_acceleration[axis], self.input.max_jerk[axis]];
             let stopped = |section, other| speed_before(self.room(section, other, axis), acceleration, jerk);
             let bounds = [
-                self.cruise(pose - 1, axis),
-                self.cruise(pose, axis),
+                self.input.max_velocity[axis],
+                AHEAD * self.cruise(pose - 1, axis),
+                AHEAD * self.cruise(pose, axis),
                 stopped(pose - 1, pose - 1),
                 stopped(pose, pose + 1),
             ];
             bounds.into_iter().fold(f64::INFINITY, f64::min).copysign(self.distance(pose, axis))
         };
         std::array::from_fn(speed)
-    }
-
-    /// Acceleration of each axis at a pose. An axis that turns back is accelerated there.
-    fn accelerations(&self, pose: usize) -> Axes {
-        let acceleration = |axis: usize| {
-            if self.course(pose, axis) >= 0.0 {
-                return 0.0;
-            }
-            let jerk = self.input.max_jerk[axis];
-            let room = self.room(pose - 1, pose - 1, axis).min(self.room(pose, pose + 1, axis));
-            let by_room = (room * jerk * jerk / TURNING).cbrt();
-            let by_velocity = (2.0 * jerk * self.input.max_velocity[axis]).sqrt();
-            let least = self.input.max_acceleration[axis].min(by_room).min(by_velocity);
-            (NEARLY * least).copysign(self.distance(pose, axis))
-        };
-        std::array::from_fn(acceleration)
     }
 }
 
