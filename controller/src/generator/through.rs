@@ -1,7 +1,7 @@
 //! Jerk-limited motion through poses, section by section.
 //!
 //! The speed of each axis at each pose follows from the limits alone, and each section between two poses is the fastest
-//! motion between these speeds. Neither a speed falls nor a section takes longer if a limit rises.
+//! motion between these speeds. If a limit rises, no speed falls and no section takes longer.
 
 use rsruckig::prelude::{DataArrayOrVec, InputParameter};
 use servo::MAX_AXES;
@@ -9,10 +9,10 @@ use servo::MAX_AXES;
 use super::plan::Plan;
 use super::{Axes, GeneratorError, newsmooth::whole_macrosteps};
 
-/// Share of the greatest acceleration at a pose. Rounding must not make a section impossible.
+/// Share of the greatest acceleration that is used at a pose, so that rounding does not make a section impossible.
 const NEARLY: f64 = 0.999;
-/// Distance over which an axis at rest reaches a speed at which the acceleration α and then standstill follow within
-/// the limit of jerk j, relative to α³ / j²: 1 / √8 to the speed, and 1 / 3 to standstill.
+/// Least distance from rest to a turn with acceleration α, within the jerk limit j, relative to α³ / j². The axis gains
+/// the speed α² / (2 j) over the distance 1 / √8, and loses the speed over the distance 1 / 3.
 const TURNING: f64 = 0.687;
 
 /// Sections of a motion from rest to rest.
@@ -91,7 +91,7 @@ impl Sections {
     }
 }
 
-/// Poses with the start, and the limits.
+/// Poses, with the start as the first pose, and the limits.
 struct Way<'a> {
     input: &'a InputParameter<MAX_AXES>,
     poses: &'a [Axes],

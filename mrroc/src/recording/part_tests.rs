@@ -1,4 +1,5 @@
-//! Recordings of a short run without one of their parts at the front, in the middle or at the end: each is found.
+//! Recordings of a short run that lack one part at the front, in the middle or at the end. The replay finds every
+//! missing part.
 
 use std::fs;
 use std::path::Path;
