@@ -92,8 +92,9 @@ pub struct Rehearsed {
 }
 
 impl Rehearsed {
-    /// Warnings of axes that the task overloads or that may lag behind, by nominal numbers, or the refusal of an overload by
-    /// numbers that the user gave. Both concern emulated robots, with their payloads and their surroundings.
+    /// Warnings of axes that the task overloads, or that may lag behind, according to nominal numbers. An overload
+    /// according to numbers that the user gave is an error. Both concern emulated robots, with their payloads and their
+    /// surroundings.
     pub fn overloads(&self, file: &CellFile) -> anyhow::Result<Vec<String>> {
         let mut warnings = demand::judge(file, self.refused.as_ref(), &self.overloads)?;
         warnings.extend(lag::warnings(file, &self.lags));

@@ -70,7 +70,7 @@ pub enum Model {
     Gripper,
     /// Conveyor of the WUT laboratory, one axis without end: position of the belt, m.
     Conveyor,
-    /// A robot that the reading program adds.
+    /// An [`OwnRobot`] that the program has registered.
     #[cfg_attr(feature = "schema", schemars(skip))]
     Own(OwnModel),
 }
@@ -96,7 +96,7 @@ pub enum Parameters {
     /// For the key `chain`, which states these parameters.
     #[cfg_attr(feature = "schema", schemars(skip))]
     Chain(ChainParameters),
-    /// For a robot that the reading program adds.
+    /// For the model of an [`OwnRobot`] that the program has registered.
     #[cfg_attr(feature = "schema", schemars(skip))]
     Own(OwnParameters),
 }
@@ -258,7 +258,7 @@ impl Model {
         Self::Conveyor,
     ];
 
-    /// All models: the built-in ones, then those of the program.
+    /// All models: the built-in models, then the models that the program has registered.
     pub fn all() -> Vec<Self> {
         Self::ALL.into_iter().chain(OwnModel::all().into_iter().map(Self::Own)).collect()
     }
