@@ -75,7 +75,7 @@ fn places<T: Copy + PartialEq>(all: &[T]) -> Vec<T> {
     chosen
 }
 
-/// Recordings: of a run with one file, of a run with two files, and of the last seconds of a run up to its fault.
+/// Recordings of a run with one file and of a run with two files.
 fn recordings() -> [(tempfile::TempDir, PathBuf); 2] {
     let (directory, recording) = {
         let directory = tempfile::tempdir().unwrap();

@@ -27,7 +27,7 @@ pub(crate) struct Installed {
     kept: Kept,
 }
 
-/// Displacement of an ended motion.
+/// Whether the displacement is kept after the end of a motion.
 #[derive(Clone, Copy)]
 enum Kept {
     /// The displacement is part of the path.
