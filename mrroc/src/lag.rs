@@ -1,9 +1,9 @@
 //! Following errors that a rehearsed task may cause, compared with `following_error`. Drives and motors are nominal, so
-//! an error is a warning.
+//! an excessive following error is only a warning.
 //!
 //! * **Late SYNC.** A drive that closes the position loop interpolates its set-points over one period. Foreign frames
-//!   on the bus delay SYNC, and the set-point stands until SYNC comes. The velocity loop samples this standstill, and the
-//!   position error makes up for the lost velocity.
+//!   on the bus delay SYNC, and the set-point stands until SYNC comes. The velocity loop samples this standstill as
+//!   lost velocity, and only a position error makes up for the loss.
 //! * **Weight.** A loop of the host takes over the weight of robot and payload when the brakes open. The integral of
 //!   the loop is zero then.
 
@@ -17,14 +17,14 @@ use servo::Output;
 use crate::bench::plants;
 use crate::cell::CellFile;
 
-/// Time for which the velocity loop sees a set-point that stands, s per period: one step of the loop, in half of the
-/// periods.
+/// Mean time per period for which the velocity loop sees a set-point that stands, s: one step of the loop, in half of
+/// the periods.
 const STANDS: f64 = 0.5e-3;
 
-/// Share of the limit from which a sag by the weight is a warning.
+/// Share of the limit above which a sag by the weight is a warning.
 const SAGS: f64 = 0.7;
 
-/// Following error that an axis may have, in the words of its cause.
+/// Following error that an axis may have, with its cause.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Lag {
     robot: usize,
@@ -64,7 +64,7 @@ impl fmt::Display for Lag {
 }
 
 /// The axes of a robot that may lag behind more than their limits permit. `fastest` has the greatest velocities of the
-/// motors, rad/s, `heaviest` their greatest weights, N·m.
+/// motors, rad/s. `heaviest` has the greatest weights at the motors, N·m.
 pub(crate) fn of(file: &CellFile, robot: usize, fastest: &Axes, heaviest: &Axes) -> Vec<Lag> {
     let cell = &file.cell;
     let period = cell.period();

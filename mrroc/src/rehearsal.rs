@@ -11,7 +11,7 @@
 //! robot waits before its first motion if no rehearsal had it at its present position. The task is then rehearsed again
 //! from there. The same holds after each switching-on at a new position, and after each fault.
 //!
-//! A force sensor carries the weight of its tool in a rehearsal, and meets no contact. [`rehearse_with_scene`] rehearses
+//! In a rehearsal, a force sensor carries the weight of its tool and has no contact. [`rehearse_with_scene`] rehearses
 //! the task on the emulated cell, which has contact and sensors.
 //!
 //! An error that the task handles is no refusal. A task can leave out its side effects
@@ -52,10 +52,11 @@ const BEGINNING: Duration = Duration::from_secs(600);
 /// The fault of an ideal drive: a generic error (CiA 402-2 §7.1).
 const FAULT: Fault = Fault::Drive { node: 0, code: 0x1000 };
 
-/// Time in one turn from which on a task blocks. A busy host interrupts a turn for shorter times.
+/// Least duration of one turn of a task that counts as blocking. A busy host can interrupt a turn for shorter times.
 const BLOCKED: Duration = Duration::from_millis(500);
 
-/// What a rehearsal lacks, for refusals of tasks that may depend on it. The cell may emulate a part of that.
+/// Text for refusals: the rehearsal lacks contact and objects, and the task may depend on them. The scene of the cell
+/// may provide some of these.
 fn lacks(file: &CellFile, extent: Extent) -> &'static str {
     match extent {
         Extent::Task if file.cell.scene.is_some() => {
@@ -86,13 +87,14 @@ pub struct Rehearsed {
     pub(crate) overloads: Vec<Demand>,
     /// Axes that may lag behind their set-points.
     pub(crate) lags: Vec<Lag>,
-    /// Time for which the task was seen in one turn.
+    /// Longest observed duration of one turn of the task.
     pub blocked: Duration,
 }
 
 impl Rehearsed {
-    /// Warnings of axes that the task overloads or that may lag behind, by nominal numbers, or the refusal of an overload by
-    /// numbers that the user gave. Both concern emulated robots, with their payloads and their surroundings.
+    /// Warnings of axes that the task overloads, or that may lag behind, according to nominal numbers. An overload
+    /// according to numbers that the user gave is an error. Both concern emulated robots, with their payloads and their
+    /// surroundings.
     pub fn overloads(&self, file: &CellFile) -> anyhow::Result<Vec<String>> {
         let mut warnings = demand::judge(file, self.refused.as_ref(), &self.overloads)?;
         warnings.extend(lag::warnings(file, &self.lags));
@@ -135,7 +137,7 @@ pub fn rehearse(file: &CellFile, program: &Program) -> anyhow::Result<Rehearsed>
     })
 }
 
-/// The result of rehearsals on a thread of their own, with the warning of a task that blocks.
+/// Runs rehearsals on a separate thread, and warns of a task that blocks.
 fn aside(
     file: &CellFile,
     program: &Program,
@@ -162,7 +164,7 @@ pub(crate) fn told_of_blocking(blocked: Duration) -> Option<String> {
     })
 }
 
-/// The courses of robots that stand at these places.
+/// The courses of all robots, which begin at the positions `start`.
 fn courses(file: &CellFile, start: &dyn Fn(&PlannedStart) -> Axes) -> Vec<Course> {
     homes(file).iter().map(|home| Course::from(start(home))).collect()
 }

@@ -1,4 +1,4 @@
-//! The list of robots that a cell can name: their models, their numbers and what emulates them.
+//! The list of robots that a cell can name: their models, their numbers and their emulation.
 //!
 //! A robot of this project keeps [`RobotParameters`] in a file of its own in `controller`. CONTRIBUTING.md has the recipe.
 //! A robot of another crate implements [`OwnRobot`], and the program registers it: [`Extension`](crate::Extension).
@@ -70,7 +70,7 @@ pub enum Model {
     Gripper,
     /// Conveyor of the WUT laboratory, one axis without end: position of the belt, m.
     Conveyor,
-    /// A robot of the program that reads the cell.
+    /// An [`OwnRobot`] that the program has registered.
     #[cfg_attr(feature = "schema", schemars(skip))]
     Own(OwnModel),
 }
@@ -93,10 +93,10 @@ pub enum Parameters {
     Gripper(GripperParameters),
     /// For `model = "conveyor"`.
     Conveyor(ConveyorParameters),
-    /// For the key `chain`, which states them.
+    /// For the key `chain`, which states these parameters.
     #[cfg_attr(feature = "schema", schemars(skip))]
     Chain(ChainParameters),
-    /// For the model of a robot of the program that reads the cell.
+    /// For the model of an [`OwnRobot`] that the program has registered.
     #[cfg_attr(feature = "schema", schemars(skip))]
     Own(OwnParameters),
 }
@@ -202,7 +202,7 @@ impl Parameters {
         })
     }
 
-    /// What the emulated mechanism or its motors cannot take of the numbers.
+    /// Refuses numbers that the emulated mechanism or its motors cannot have.
     pub(crate) fn check_mechanism(&self) -> Result<(), String> {
         match self {
             Self::Chain(given) => chain::mechanism(given).map(drop).map_err(|error| error.to_string()),
@@ -258,7 +258,7 @@ impl Model {
         Self::Conveyor,
     ];
 
-    /// All models: the built-in ones, then those of the program.
+    /// All models: the built-in models, then the models that the program has registered.
     pub fn all() -> Vec<Self> {
         Self::ALL.into_iter().chain(OwnModel::all().into_iter().map(Self::Own)).collect()
     }

@@ -5,7 +5,7 @@ use std::{fmt, time::Duration};
 /// A histogram of durations from 1 ns to 10 s in three significant digits.
 ///
 /// All memory is allocated at the start, and recording neither allocates nor resizes. Durations above 10 s count as 10
-/// s. Their number and the true maximum are known.
+/// s. The number of these durations and the exact maximum are kept.
 #[derive(Clone)]
 pub struct Histogram {
     counts: hdrhistogram::Histogram<u64>,

@@ -152,7 +152,7 @@ pub enum GeneratorError {
     User(u16),
 }
 
-/// Greatest difference of a jump from whole turns that counts as a turn back, rad.
+/// A jump that differs from whole turns by at most this angle counts as a turn back, rad.
 const TURN: f64 = 0.5;
 
 impl GeneratorError {

@@ -204,9 +204,9 @@ pub trait Generator: Send + Sync + 'static {
         false
     }
 
-    /// Parameters of the effector's cycle law that all macrosteps carry, if they are known before the first step. If the
-    /// motion before ended under the same parameters and its law has kept its displacement, the commanded state of the
-    /// first step is the end of that path, not the place to which the law has displaced the effector.
+    /// Parameters of the effector's cycle law that all macrosteps carry, if they are known before the first step. The
+    /// law may have kept its displacement from the previous motion under the same parameters. The commanded state of
+    /// the first step is then the end of the previous path, without this displacement.
     fn law(&self) -> Option<LawParameters> {
         None
     }

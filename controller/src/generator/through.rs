@@ -1,7 +1,7 @@
 //! Jerk-limited motion through poses, section by section.
 //!
 //! The speed of each axis at each pose follows from the limits alone, and each section between two poses is the fastest
-//! motion between these speeds. Neither a speed falls nor a section takes longer if a limit rises.
+//! motion between these speeds. If a limit rises, no speed falls and no section takes longer.
 
 use rsruckig::prelude::{DataArrayOrVec, InputParameter};
 use servo::MAX_AXES;
@@ -87,7 +87,7 @@ impl Sections {
     }
 }
 
-/// Poses with the start, and the limits.
+/// Poses, with the start as the first pose, and the limits.
 struct Way<'a> {
     input: &'a InputParameter<MAX_AXES>,
     poses: &'a [Axes],

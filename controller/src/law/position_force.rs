@@ -40,14 +40,14 @@ pub struct PositionForce {
     sensor: WrenchLink,
     /// Velocity of each direction in the last cycle, m/s and rad/s.
     velocity: Vector6<f64>,
-    /// Displacement of the tool from the path in the task frame: at the beginning that of the set-points, then the integral
-    /// of the velocity, m and rad.
+    /// Displacement of the tool from the path in the task frame, m and rad. The first value is the displacement of the
+    /// set-points. The integral of the velocity is then added.
     displacement: Vector6<f64>,
     /// Motor velocities of the last cycle, rad/s.
     motor_velocity: Axes,
     frame: Frame,
     touch: Touch,
-    /// The load behind the sensor in this motion, with its payload.
+    /// The load behind the sensor in this motion, including the payload.
     load: Option<Load>,
 }
 
@@ -78,8 +78,8 @@ pub struct PositionForceConfig {
     ///
     /// [`ForceTorque::zeroed_weight`]: crate::sensor::ForceTorque::zeroed_weight
     pub zeroed: Option<ZeroedWeight>,
-    /// The part that the tool carries beside `load` ([`ForceTorque::payload`]). The law takes a change at the beginning of
-    /// a motion. `None`: no part.
+    /// The part that the tool carries in addition to `load` ([`ForceTorque::payload`]). A change takes effect at the
+    /// beginning of a motion. `None`: no part.
     ///
     /// [`ForceTorque::payload`]: crate::sensor::ForceTorque::payload
     pub payload: Option<Payload>,
@@ -235,7 +235,8 @@ impl PositionForce {
         Ok(contact.seen_from(&(base_from_task.inverse() * base_from_sensor)).components().map(|component| -component))
     }
 
-    /// Displacement of the tool from the path by the displacements of the motors, in the task frame, m and rad.
+    /// Displacement of the tool from the path that follows from the displacements of the motors, in the task frame, m
+    /// and rad.
     fn kept_displacement(&self, input: &LawInput<'_>) -> Result<Vector6<f64>, LawFault> {
         let axes = self.config.arm.axes();
         let Some(given) = input.axes.get(..axes) else { return Err(LawFault::Unreachable) };

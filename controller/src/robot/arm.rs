@@ -10,9 +10,10 @@ use super::{ArmParameters, Jacobian, KinematicsError, Limits, Link, solutions::S
 /// as lying on an axis. A pose this close to a singularity is reached within the same bound.
 pub(super) const PARALLEL: f64 = 1e-10;
 
-/// A pose nearer than this to a singular pose counts as singular, and its open parameter is that of the present posture.
-/// The sine of an angle. A singular pose that was written with nine digits is this near, and its own parameter is a
-/// product of the rounding. The orientation is met within the same bound, which is far below a count of an encoder.
+/// Sine of the angle to a singular pose, below which a pose counts as singular. The open parameter of such a pose is
+/// taken from the present posture. A singular pose that was written with nine digits lies within this bound, and only
+/// the rounding would determine its open parameter. The error of the orientation lies within the same bound, which is
+/// far below one count of an encoder.
 pub(super) const INDISTINCT: f64 = 1e-8;
 
 pub(super) const COLUMN: usize = 0;

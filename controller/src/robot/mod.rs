@@ -94,7 +94,7 @@ pub trait RobotParameters: Clone {
     /// The same numbers with room at home, in each range that includes the home position. The motors, in the order of
     /// the axes, come to rest up to these distances beside their home positions, rad.
     ///
-    /// The default leaves the ranges as they are, for a robot whose ranges extend to both sides of home.
+    /// The default does not change the ranges, for a robot whose ranges extend to both sides of home.
     #[must_use]
     fn with_room_at_home(self, _motors: &[f64]) -> Self {
         self
@@ -173,8 +173,8 @@ pub trait Robot: fmt::Debug + Send + Sync {
         Vec::new()
     }
 
-    /// Pose of the flange in the frame of the last link. The identity, unless the description of a [`Chain`] has its
-    /// flange elsewhere.
+    /// Pose of the flange in the frame of the last link. The identity by default; the description of a [`Chain`] can
+    /// state another pose.
     fn link_from_flange(&self) -> Pose {
         Pose::identity()
     }
@@ -292,7 +292,8 @@ pub enum KinematicsError {
     /// The pose lies beside the path of a device with one axis.
     #[error("{distance:.6} m and {angle:.6} rad off the only axis")]
     OffAxis { distance: f64, angle: f64 },
-    /// No posture found brings the flange to the pose. `distance` and `angle` are the errors of the nearest posture.
+    /// No posture was found that brings the flange to the pose. `distance` and `angle` are the errors of the nearest
+    /// posture.
     #[error("the arm misses the pose by {distance:.6} m and {angle:.6} rad at the least")]
     Missed { distance: f64, angle: f64 },
     /// The tool axis lies outside the vertical plane of a 5-axis arm. `residual` is the sine of the angle between them,

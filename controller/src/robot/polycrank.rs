@@ -33,8 +33,7 @@ const ELBOW: usize = 4;
 
 /// If the sines of both bends are smaller, the two pairs of cranks count as stretched or folded.
 const STRETCHED: f64 = 1e-5;
-/// Number of orientations of the forearm's plane, half a turn together, of which one is taken if the tool axis is parallel
-/// to axis 1.
+/// Number of candidate planes of the forearm, spread over half a turn, if the tool axis is parallel to axis 1.
 const PLANES: u8 = 16;
 /// Distance from the ends of its range, m, within which the forearm's reach is moved back as the arm moves.
 const BAND: f64 = 0.04;
@@ -135,8 +134,9 @@ impl PolycrankParameters {
 /// from a distance of 0.1 m on. [`Polycrank::inverse_at`] takes the reach from the caller.
 /// [`Polycrank::most_dexterous`] searches for the best reach.
 ///
-/// A pose whose tool axis is parallel to axis 1 within 1e-8 also leaves the plane of the forearm open. The plane is then
-/// that of `near`. If the arm cannot take the pose in this plane, the nearest of 16 planes is taken in which it can.
+/// A pose whose tool axis is parallel to axis 1 within 1e-8 also leaves the plane of the forearm open. The plane is
+/// then taken from `near`. If the arm cannot reach the pose in this plane, the nearest of 16 planes in which the pose
+/// is within reach is taken.
 ///
 /// A pose in which both pairs of cranks are stretched or folded at once, with bends within 1e-5, is the edge of the
 /// workspace, and is refused with [`KinematicsError::Singular`]. Its axis is 4, counted from 0.

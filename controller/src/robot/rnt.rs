@@ -283,7 +283,7 @@ impl Robot for Rnt {
                     true => near[ROLL].sin_cos(),
                     false => (side * wrist[(1, 2)] / lean, side * wrist[(0, 2)] / lean),
                 };
-                // Of a straight wrist, the pitch is the part of the lean across its axis.
+                // For a straight wrist, the pitch is the component of the lean across its axis.
                 let lean = if straight { cos * wrist[(0, 2)] + sin * wrist[(1, 2)] } else { side * lean };
                 let pitch = lean.atan2(wrist[(2, 2)]);
                 // Spin follows from the chosen roll, so that their errors cancel near the singularity.

@@ -68,7 +68,7 @@ pub enum ForceError {
     /// The robot moves while its payload is to change.
     #[error("payload not changed, the robot moves: change the payload between two motions")]
     PayloadInMotion,
-    /// A payload that is no load.
+    /// A mass or a centre that no load has.
     #[error("payload not changed, {0}: give a mass from 0 on, and its centre in the frame of the sensor")]
     Payload(LoadError),
     /// The weight of tool and payload saturates a channel.
@@ -251,9 +251,10 @@ impl ForceTorque {
         self.payload.clone()
     }
 
-    /// Changes the part that the tool carries beside the load of the [configuration](ForceSensorConfig::load): a point mass,
-    /// kg, with its centre in the frame of the sensor, m. A mass of 0 is no part. The robot must not be in motion. Readings
-    /// follow at once, and a cycle law follows at the beginning of its next motion. A zeroing stays valid.
+    /// Changes the part that the tool carries in addition to the load of the [configuration](ForceSensorConfig::load):
+    /// a point mass, kg, with its centre in the frame of the sensor, m. A mass of 0 removes the part. The robot must
+    /// not be in motion. Readings follow at once, and a cycle law follows at the beginning of its next motion. A
+    /// zeroing stays valid.
     pub fn set_payload(&self, mass: f64, centre: Vector3<f64>) -> Result<(), ForceError> {
         let part = Load::of_weight(mass, centre).map_err(ForceError::Payload)?;
         let whole = self.config.load.carrying(&part).greatest_weight();

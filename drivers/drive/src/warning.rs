@@ -60,7 +60,7 @@ pub enum WarningCause {
         /// Greatest position of the cell, counts.
         most: i32,
     },
-    /// The node lacks object 0x1029:01, so its reaction to the loss of the host is not known.
+    /// The node lacks object 0x1029:01, so that its reaction to the loss of the host is not known.
     #[error(
         "no object 0x1029:01, so it is not known whether the drive leaves operational without the heartbeat of the host: \
          against frames that a buffer held, only SYNC without set-points protects; check the drive's reaction"

@@ -20,9 +20,9 @@ const MOST_ANSWERS: u32 = 4;
 /// The deadline of each answer is `timeout` after its request. No request is repeated; a service that timed out may be
 /// started again. Answers to other requests are ignored.
 ///
-/// The answers have no numbers, so that a late answer to an earlier request may look like the answer to the present one.
-/// Each inquiry is therefore repeated until two answers in a row agree, and a fastscan waits for late answers wherever
-/// one would give a wrong identity or hide a slave.
+/// The answers have no numbers, so that a late answer to an earlier request may look like the answer to the present
+/// request. Each inquiry is therefore repeated until two answers in a row agree. A fastscan waits for late answers
+/// wherever a late answer would give a wrong identity or hide a slave.
 ///
 /// A node without a node-ID gets one in four steps. [`Service::Fastscan`] finds the node and puts it into configuration
 /// mode. [`Service::ConfigureNodeId`] and [`Service::Store`] follow. After a switch to [`Mode::Waiting`] the node boots
@@ -51,12 +51,12 @@ struct Progress {
     part: Part,
     /// Of `InquireIdentity`, the numbers answered before `part`.
     identity: Identity,
-    /// Of inquiries, the last answer to the present request, and the number of answers to it.
+    /// For inquiries: the last answer to the present request, and the number of its answers.
     last: Option<Response>,
     answers: u32,
     /// Of fastscans, the question asked.
     scan: Scan,
-    /// Of fastscans, whether the question was not answered in time, and the scan waits for late answers.
+    /// For fastscans: whether the scan waits for late answers, after a question that was not answered in time.
     listening: bool,
     /// Of `IdentifyUnconfigured`, whether the first question of a fastscan was asked as well.
     scanning: bool,
@@ -82,15 +82,16 @@ pub enum Service {
     /// Ask whether any slave has no node-ID. Takes `timeout`, and as long again if none answers: slaves that know only
     /// fastscan answer its first question.
     IdentifyUnconfigured,
-    /// Find the identity of a slave without a node-ID, the smallest if there are several, and put that
-    /// slave into configuration mode. Takes up to 139 times `timeout`, for slaves that agree answer at different
-    /// times, and silence means no; it may be as short as the slowest slave's answer, some 10 ms.
+    /// Find the identity of a slave without a node-ID, the smallest if there are several, and put that slave into
+    /// configuration mode. The service takes up to 139 times `timeout`: slaves with the same answer may answer at
+    /// different times, and only silence means no. `timeout` may be as short as the answer time of the slowest slave,
+    /// about 10 ms.
     ///
     /// Slaves in configuration mode should be silent. One that answers every question, as CANopenNode's does, fails the
     /// scan with [`LssError::Untrue`]; [`Service::FastscanAbove`] avoids it.
     Fastscan,
-    /// Find the smallest identity above this one in the same way. With all slaves in [`Mode::Waiting`] the ones found
-    /// before are passed over. Takes up to 280 times `timeout`.
+    /// Find the smallest identity above this one in the same way. If all slaves are in [`Mode::Waiting`], the slaves
+    /// found before are passed over. The service takes up to 280 times `timeout`.
     FastscanAbove(Identity),
 }
 
@@ -333,8 +334,8 @@ impl Master {
 }
 
 impl Progress {
-    /// The request of an inquiry that is repeated after this answer. `None` for an answer that agrees with the last one, or
-    /// that is not of the present inquiry.
+    /// The request of an inquiry that is repeated after this answer. `None` for an answer that agrees with the last
+    /// answer, or that belongs to another inquiry.
     fn asked_again(&mut self, response: &Response) -> Option<Result<Request, LssError>> {
         let request = match (self.service, response) {
             (Service::InquireIdentity, Response::Inquired { part, .. }) if *part == self.part => {

@@ -1,6 +1,6 @@
-//! A five-bar robot, which is no chain of joints, and every command of `mrroc` for it. Two motors stand side by side on
-//! the x axis and turn a link each. Two further links join their ends at the flange, which moves in the plane and keeps
-//! its orientation. All numbers are nominal.
+//! A program with every command of `mrroc` for a five-bar robot, which is no serial chain of joints. Two motors stand
+//! side by side on the x axis, and each turns a link. Two further links join the ends of these links at the flange,
+//! which moves in the plane and keeps its orientation. All numbers are nominal.
 
 use std::{process::ExitCode, sync::Arc};
 
@@ -14,7 +14,8 @@ use serde::{Deserialize, Serialize};
 
 /// Motor angle per joint angle.
 const RATIO: f64 = 50.0;
-/// Angles of the driven links to the x axis at home, their ranges, and the ranges of the motors, zero at home; rad.
+/// Angles of the driven links to the x axis at home, ranges of the links, and ranges of the motors, which are at zero
+/// at home; rad.
 const HOME: [f64; 2] = [2.1, 1.04];
 const JOINTS: [Limits; 2] = [Limits { low: 1.2, high: 3.1 }, Limits { low: 0.04, high: 1.94 }];
 const MOTORS: [Limits; 2] = [Limits { low: -45.0, high: 50.0 }, Limits { low: -50.0, high: 45.0 }];
@@ -60,7 +61,7 @@ impl OwnRobot for FiveBar {
 }
 
 impl FiveBar {
-    /// The flange, and its place from either elbow, m.
+    /// The flange, and its position relative to each elbow, m.
     fn place(&self, joints: &[f64; 2]) -> Result<([f64; 2], [[f64; 2]; 2]), KinematicsError> {
         let elbow = |i: usize, stand: f64| [stand + self.proximal * joints[i].cos(), self.proximal * joints[i].sin()];
         let elbows = [elbow(0, -0.5 * self.base), elbow(1, 0.5 * self.base)];
@@ -131,7 +132,7 @@ impl Robot for FiveBar {
     fn jacobian(&self, joints: &Joints) -> Result<Jacobian, KinematicsError> {
         let joints: &[f64; 2] = joints.exactly()?;
         let (_, [left, right]) = self.place(joints)?;
-        // The distal links keep their lengths: each row is the velocity of the flange along one of them.
+        // The distal links keep their lengths: each row is the velocity of the flange along one distal link.
         let across = left[0] * right[1] - left[1] * right[0];
         if across.abs() < 1e-9 {
             return Err(KinematicsError::Singular { axis: 0, margin: across.abs() });

@@ -107,6 +107,6 @@ pub(crate) fn words(devices: &Devices, sensors: &[ForceTorque]) -> Vec<Word> {
     let wrenches = devices.sensors.iter().flat_map(|link| link.words());
     let matrices = devices.matrices.iter().map(|link| link.word());
     let zeros = sensors.iter().flat_map(ForceTorque::words);
-    // Words of older recordings have the same numbers.
+    // New words follow at the end, so that words of older recordings keep their numbers.
     io.chain(wrenches).chain(matrices).chain(zeros).chain(sensors.iter().flat_map(ForceTorque::payload_words)).collect()
 }

@@ -13,15 +13,15 @@ use crate::report::{RunOutcome, RunReport};
 use crate::run::{Progress, Requests, RunOptions, run_rehearsed};
 use crate::tasks::Program;
 
-/// Faults in a refusal. The others are counted.
+/// Greatest number of faults that a refusal describes. All further faults are only counted.
 const TOLD: usize = 3;
 
-/// Rehearses a task on the emulated cell, with its scene, as a run with [`BenchKind::Lockstep`] does it: drives that home,
-/// accelerate and are overloaded, contact, sensors and their faults. A fault that the task does not handle is a refusal.
-/// The rehearsal ends early, with a refusal, once `stop` is set.
+/// Rehearses a task on the emulated cell with its scene, like a run with [`BenchKind::Lockstep`]. The emulated cell has
+/// contact, sensors with their faults, and drives that home, accelerate and may be overloaded. A fault that the task
+/// does not handle is a refusal. The rehearsal ends early, with a refusal, once `stop` is set.
 ///
-/// Ideal drives rehearse the task as well ([`rehearse`](super::rehearse)), for the places beside the home positions. What
-/// they refuse does not count if the task needs contact or sensors before.
+/// Ideal drives rehearse the task as well ([`rehearse`](super::rehearse)), for the places beside the home positions. A
+/// refusal by ideal drives does not count if the task needs contact or sensors before the refused instruction.
 pub fn rehearse_with_scene(file: &CellFile, program: &Program, stop: &Arc<AtomicBool>) -> anyhow::Result<Rehearsed> {
     if file.cell.scene.is_none() {
         bail!("--rehearse-with-scene needs a scene: the cell has no table [scene]");
@@ -37,7 +37,7 @@ pub fn rehearse_with_scene(file: &CellFile, program: &Program, stop: &Arc<Atomic
             }
             Err(_) => {
                 let (home, never) = (courses(file, &|home| home.motors), AtomicBool::new(false));
-                // A first motion that needs contact is refused from home already.
+                // A first motion that needs contact is already refused from home.
                 if run(file, program, &home, Extent::FirstMotions(&wanted), &never, turns).is_ok() {
                     beside_home(file, program, &wanted, turns)?;
                 }
@@ -48,7 +48,7 @@ pub fn rehearse_with_scene(file: &CellFile, program: &Program, stop: &Arc<Atomic
     Ok(Rehearsed { with_scene: Some(duration), instructions, moved, ..rehearsed })
 }
 
-/// What a rehearsal with the scene found.
+/// Result of a rehearsal with the scene.
 struct InScene {
     /// Duration with homing.
     duration: Duration,
@@ -88,7 +88,7 @@ fn refusal(report: &RunReport) -> anyhow::Error {
 }
 
 impl Rehearsed {
-    /// A task of which no rehearsal on ideal drives came to the end.
+    /// A task that no rehearsal on ideal drives has completed.
     fn unknown(moved: Vec<bool>) -> Self {
         Self {
             duration: None,

@@ -19,8 +19,8 @@ const CLOSE: f64 = 1e-6;
 /// Greatest difference of a Jacobian from the numerical derivative, per 1 + its magnitude.
 const DERIVATIVE: f64 = 1e-4;
 
-/// Compares forward and inverse kinematics, Jacobian and drive train of a robot with each other, in postures all over its
-/// ranges. Describes the first contradiction.
+/// Compares forward and inverse kinematics, Jacobian and drive train of a robot with each other, in postures throughout
+/// its ranges. Describes the first contradiction.
 pub fn examine(robot: &dyn Robot) -> Result<(), String> {
     let home = robot.home();
     let at_home = robot.joints_from_motors(&home).map_err(|error| format!("joints_from_motors at home: {error}"))?;
@@ -87,7 +87,7 @@ fn derivative(robot: &dyn Robot, joints: &Joints) -> Result<(), String> {
             moved[axis] += by;
             robot.forward(&moved)
         };
-        // Beside a posture at the end of the workspace there may be none.
+        // A posture at the edge of the workspace may have no neighbour.
         let (Ok(before), Ok(after)) = (moved(-STEP), moved(STEP)) else {
             continue;
         };

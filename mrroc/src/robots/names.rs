@@ -1,4 +1,4 @@
-//! Models and parameters in cell files, by their names.
+//! Names of models and of parameters in cell files.
 
 use std::fmt;
 

@@ -1,4 +1,4 @@
-//! Robots of other crates: their keys in cell files, their kinematics, and what emulates them.
+//! Robots of other crates: their keys in cell files, their kinematics and their emulation.
 
 use std::any::TypeId;
 use std::fmt;
@@ -14,9 +14,9 @@ use toml::de::DeValue;
 use super::{Model, Parameters, examine};
 use crate::cell::{CellError, Path, read_element};
 
-/// A robot that a program brings: its numbers, with a key each in cell files.
+/// A robot that a program adds. Each number of the robot has a key in cell files.
 ///
-/// The cell names the robot by `model`. The numbers are the default ones, or those of the table `parameters`:
+/// The cell names the robot by `model`. The table `parameters` replaces the default numbers:
 ///
 /// ```toml
 /// model = "five-bar"
@@ -31,7 +31,7 @@ pub trait OwnRobot: RobotParameters + Default + fmt::Debug + Serialize + Deseria
     /// Name of the model in cell files.
     const MODEL: &'static str;
 
-    /// What joint `axis` demands of its emulated motor.
+    /// Requirements of joint `axis` on its emulated motor.
     fn joint(&self, axis: usize) -> EmulatedJoint;
 
     /// Whether joint `axis` is linear: its position is in m.
@@ -40,7 +40,7 @@ pub trait OwnRobot: RobotParameters + Default + fmt::Debug + Serialize + Deseria
     }
 }
 
-/// What a joint demands of its emulated motor. The range of the motor is that of [`Robot::motor_limits`].
+/// Requirements of a joint on its emulated motor. The range of the motor is [`Robot::motor_limits`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EmulatedJoint {
     /// Motor angle per joint position, rad/rad or rad/m.
@@ -209,7 +209,7 @@ impl OwnParameters {
         AxisConfig::nominal(&joint).map_err(|error| format!("joint {number}: {error}"))
     }
 
-    /// Whether robot and emulation have the axes that the numbers state, and the robot keeps its contract.
+    /// Refuses numbers whose robot or emulation has another number of axes, or whose robot breaks its contract.
     pub(super) fn check(&self) -> Result<(), String> {
         let robot = self.0.robot().map_err(|error| error.to_string())?;
         let axes = self.0.axes();

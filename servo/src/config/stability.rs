@@ -1,9 +1,9 @@
 //! Stability of a position loop that the servo closes, with the dead time of its drives.
 //!
 //! The loop is linear: limits, dry friction and the resolution of the encoder are left out. The motor is a lag: the
-//! feed-forward of acceleration and velocity states its inertia and its damping. A loop is accepted if it is stable with
-//! [`MARGIN`] times its gain, and with its gain divided by [`MARGIN`]: integration makes a loop unstable whose velocity
-//! gain is too low for the inertia.
+//! feed-forward of acceleration and velocity states its inertia and its damping. A loop is accepted if it is stable
+//! with [`MARGIN`] times its gain, and with its gain divided by [`MARGIN`]. The second condition concerns loops with
+//! integration, which are unstable if the velocity gain is too low for the inertia.
 //!
 //! Two loops are not checked: the incremental law, whose coefficients are no gains, and a cascade without a feed-forward of
 //! acceleration, whose motor has no known inertia.
@@ -19,7 +19,7 @@ const MARGIN: f64 = 2.0;
 /// Least and greatest number of cycles in which the response to a displacement and a velocity is computed. The first half
 /// is left out of the verdict.
 const CYCLES: (usize, usize) = (2048, 65_536);
-/// Least duration of the response, rad of the slowest oscillation: the half that is judged has six swings.
+/// Least duration of the response, in rad of the slowest oscillation: the half that is judged has six oscillations.
 const RESPONSE: f64 = 75.0;
 /// Longest dead time, cycles.
 const LONGEST: usize = 8;
@@ -65,8 +65,8 @@ impl LoopPlant {
         Self { period, delay, inertia: feed_forward.acceleration, damping }
     }
 
-    /// Refuses a law that is unstable with twice or half its gain, and names the greatest value of one key that fits. Keys
-    /// are those of a cell file below `law`. The law and its feed-forward have passed their other checks.
+    /// Refuses a law that is unstable with twice or half its gain. The error names the greatest value of one key that
+    /// fits. Keys are those of a cell file below `law`. The law and its feed-forward have passed their other checks.
     pub fn check(&self, law: &Law) -> Result<(), KeyError> {
         match *law {
             Law::Proportional(it) => {
@@ -153,8 +153,8 @@ impl LoopPlant {
         greatest[1] <= greatest[0]
     }
 
-    /// Greatest displacement, rad, of a motor at rest by a constant load that begins to act, in the unit of the output.
-    /// `None` for a loop that is unstable or not checked, and for a velocity loop of the drive.
+    /// Greatest displacement of a motor at rest, rad, after a constant load begins to act. The load is in the unit of
+    /// the output. `None` for a loop that is unstable or not checked, and for a velocity loop of the drive.
     pub fn sag(&self, law: &Law, load: f64) -> Option<f64> {
         let Law::Cascade(cascade) = law else { return None };
         let law = Linear::of(cascade);
@@ -280,7 +280,7 @@ mod tests {
         assert!((sag(CASCADE.velocity_gain, 0.0) / rest - 1.0).abs() < 0.02, "{}", sag(CASCADE.velocity_gain, 0.0));
         let (stiff, soft) = (sag(CASCADE.velocity_gain, 10.0), sag(0.2 * CASCADE.velocity_gain, 10.0));
         assert!(stiff < rest && soft > 4.0 * stiff && soft < 10.0 * stiff, "{stiff}, {soft}");
-        // An unstable loop rests nowhere.
+        // An unstable loop does not come to rest.
         let law = Law::Cascade(CascadeConfig { velocity_gain: 10.0 * CASCADE.velocity_gain, ..CASCADE });
         assert_eq!(LoopPlant::new(Duration::from_millis(2), 2, &law, &FEED_FORWARD).sag(&law, 0.4), None);
     }

@@ -21,13 +21,13 @@ pub(crate) struct Installed {
     active: bool,
     /// The law panicked, and is not called again.
     panicked: bool,
-    /// Present displacements: positions, velocities and accelerations. While not `active`, all are at rest, at zero
-    /// unless `kept`.
+    /// Present displacements: positions, velocities and accelerations. While the law is not `active`, all displacements
+    /// are at rest, and are zero unless `kept`.
     displacement: [Knot; MAX_AXES],
     kept: Kept,
 }
 
-/// Displacement of an ended motion.
+/// Whether the displacement is kept after the end of a motion.
 #[derive(Clone, Copy)]
 enum Kept {
     /// The displacement is part of the path.
@@ -44,8 +44,8 @@ impl Installed {
         (self.active, self.displacement, self.kept) = (false, [Knot::default(); MAX_AXES], Kept::No);
     }
 
-    /// Ends the motion at a stand, or in braking to a stand from the end of the path at `path`, rad. The law keeps its
-    /// displacement if it says so.
+    /// Ends the motion at a stand, or in braking to a stand from the end of the path at `path`, rad. The law decides
+    /// whether it keeps its displacement.
     fn pause(&mut self, parameters: Option<&LawParameters>, braking: Option<[f64; MAX_AXES]>) {
         let law = &self.law;
         let keeps =
@@ -146,8 +146,9 @@ impl Effector {
         Ok(())
     }
 
-    /// Ends the law with the change of state from `last` to `next`. A law that keeps its displacement keeps it at the end
-    /// of a path, and during the braking that follows if the law still moves the effector there.
+    /// Ends the law with the change of state from `last` to `next`. A law that keeps its displacement does so at the
+    /// end of a path. If the law still moves the effector there, the displacement is also kept while the effector
+    /// brakes.
     pub(super) fn leave_law(&mut self, last: ServoState, next: ServoState, segment: Option<&Segment>) {
         let stand = self.each(|axis| axis.knot.position);
         let Some(installed) = &mut self.law else {
@@ -165,8 +166,8 @@ impl Effector {
         }
     }
 
-    /// Displacement from which `macrostep` continues, rad. Any other first macrostep of a motion gives up the displacement
-    /// that the law has kept.
+    /// Displacement from which `macrostep` continues, rad. A first macrostep of a motion that does not continue gives
+    /// up the kept displacement.
     pub(super) fn continue_law(&mut self, macrostep: &Macrostep) -> [f64; MAX_AXES] {
         match &mut self.law {
             Some(installed) if macrostep.continues_law => installed.displacements(),

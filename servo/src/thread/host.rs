@@ -55,7 +55,8 @@ pub enum Limit {
     LockedMemory,
 }
 
-/// The program of the package. Its units grant no capability, so that they could not start a program that has one.
+/// The program of the package. The units of the package grant no capability, and therefore could not start a program
+/// with a capability.
 const PACKAGED: &str = "/usr/bin/mrroc";
 
 /// Instructions for granting a [`Limit`].
@@ -198,8 +199,8 @@ pub fn set_fifo(priority: u8) -> Result<(), Denial> {
 /// Bit of CAP_SYS_NICE in a set of capabilities (`linux/capability.h`).
 const CAP_SYS_NICE: u32 = 23;
 
-/// The denial of SCHED_FIFO to a process with these texts of `/proc/self/limits` and `/proc/self/status`. The kernel
-/// denies a priority that they permit to a control group without real-time run time (sched(7)).
+/// The denial of SCHED_FIFO to a process with these texts of `/proc/self/limits` and `/proc/self/status`. In a control
+/// group without real-time run time, the kernel also denies a priority that limits and capabilities permit (sched(7)).
 fn fifo_denial(priority: u8, errno: i32, limits: &str, status: &str) -> Denial {
     let field = |text: &str, name: &str| {
         let line = text.lines().find_map(|line| line.strip_prefix(name));

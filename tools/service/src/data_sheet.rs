@@ -32,7 +32,7 @@ pub(super) struct DataSheet {
     /// Name of the object. The name of a sub-index is preceded by the name of its object.
     pub(super) name: String,
     variable: Variable,
-    /// Why the limits of the object are not known.
+    /// Reason why the limits of the object are not known.
     limits: Option<EdsError>,
 }
 
@@ -81,8 +81,8 @@ fn named(eds: &Eds) -> impl Iterator<Item = (Object, &Variable, String)> {
     eds.variables().map(|(object, variable)| (object, variable, name_of(&eds.objects[&object.index], variable)))
 }
 
-/// The object of a name. The name of a sub-index may be preceded by the name of its object, which decides between
-/// sub-indices of one name. Letters are compared without case.
+/// The object of a name. The name of a sub-index may be preceded by the name of its object, which distinguishes
+/// sub-indices of the same name. Upper and lower case are equal.
 fn object_of(eds: &Eds, name: &str, path: &str) -> anyhow::Result<Object> {
     let wanted = name.trim().to_lowercase();
     let objects = |is_wanted: &dyn Fn(&Variable, &str) -> bool| -> Vec<_> {
@@ -106,7 +106,7 @@ fn object_of(eds: &Eds, name: &str, path: &str) -> anyhow::Result<Object> {
     }
 }
 
-/// Addresses with names, as far as a line can hold them.
+/// Addresses with names, at most [`MOST_LISTED`] of them.
 fn listed(objects: &[(Object, String)]) -> String {
     let shown: Vec<_> = objects.iter().take(MOST_LISTED).map(|(object, name)| format!("{object} {name}")).collect();
     let more = objects.len() - shown.len();
@@ -318,7 +318,7 @@ mod tests {
     /// A data sheet without a flaw, of the corpus of data sheets with one flaw each.
     const SOUND: &str = include_str!("../../../drivers/canopen/tests/sheets/sound.eds");
 
-    /// The lines of a section of `text` up to the next heading, wherever it stands.
+    /// The lines of a section up to the next heading, wherever the section stands.
     fn section<'a>(lines: &[&'a str], heading: &str) -> Vec<&'a str> {
         let mut inside = false;
         let lines = lines.iter().filter(|line| {
@@ -330,7 +330,7 @@ mod tests {
         lines.copied().collect()
     }
 
-    /// What `sdo` needs of an object that a mutation did not touch.
+    /// Asserts that `sdo` can use an object that a mutation did not touch.
     fn untouched_object_works(lines: &[&str]) {
         let text_of_file = lines.join("\n");
         let eds = Eds::read(text_of_file.as_bytes()).unwrap_or_else(|error| panic!("{error}\n{text_of_file}"));

@@ -28,7 +28,7 @@ const BOOTING: Duration = Duration::from_secs(2);
 /// Switches all slaves to waiting mode. The command has no answer, and the time limits its sending.
 const TO_WAITING: (Service, Duration) = (Service::SwitchGlobal(Mode::Waiting), Duration::from_millis(200));
 
-/// Time after the last request of a scan in which an answer is noticed that came too late for its request.
+/// Time after the last request of a scan during which a late answer is noticed.
 const LATE: Duration = Duration::from_millis(500);
 
 /// Maximum number of nodes on a bus.
@@ -43,9 +43,9 @@ pub enum Action {
         #[command(flatten)]
         bus: BusArgs,
         /// Time to wait for an answer to each of the 134 requests per node, ms. The value must exceed the answer time
-        /// of the slowest node plus the latency of the interface; an answer within 0.5 s after the scan is a warning and
-        /// exit code 1. A node that keeps answering after it was found, such
-        /// as a CANopenNode slave, doubles the number of requests. [default: 20, or 50 on slcan]
+        /// of the slowest node plus the latency of the interface. An answer within 0.5 s after the scan causes a
+        /// warning and exit status 1. A node that keeps answering after it was found, such as a CANopenNode slave,
+        /// doubles the number of requests. [default: 20, or 50 on slcan]
         #[arg(long, value_name = "MS")]
         timeout: Option<u64>,
         /// Print one JSON object.
@@ -222,7 +222,7 @@ fn scan(bus: &BusArgs, timeout: Option<Duration>, json: bool) -> anyhow::Result<
 
 /// Warning of an answer `late` after its request to a scan that waits for `timeout`.
 fn lateness(late: Duration, timeout: Duration) -> String {
-    // Half as long again, in steps of 10 ms.
+    // One and a half times the delay, rounded up to a multiple of 10 ms.
     let longer = (late.as_millis() * 3 / 2).div_ceil(10) * 10;
     format!(
         "a node without a node-ID answered {} ms after a request, and the scan waits {} ms: the list is incomplete, scan again \

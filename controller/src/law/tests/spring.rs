@@ -231,7 +231,7 @@ fn an_admittance_that_begins_displaced_keeps_its_force_and_returns_to_the_path()
         let settled = rig.forces[rig.forces.len() - 1].z;
         // The tool is not quite upright.
         assert!((settled - 2.0).abs() < 0.2, "{axes:?}: {settled} N");
-        // The next motion begins the law anew, and has kept the displacement.
+        // The next motion begins the law again, with the kept displacement.
         for _ in 0..2 {
             rig.began = false;
             for _ in 0..500 {

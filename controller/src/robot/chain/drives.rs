@@ -22,7 +22,7 @@ pub(super) struct Drives {
     pub(super) motors_at_home: [f64; MAX_AXES],
     pub(super) joint_limits: [Limits; MAX_AXES],
     pub(super) motor_limits: [Limits; MAX_AXES],
-    /// Motors that an endless joint moves. Only these motors have limits that the limits of the joints do not keep.
+    /// Motors that an endless joint moves. Only the limits of these motors do not follow from the limits of the joints.
     endless: [bool; MAX_AXES],
 }
 

@@ -144,8 +144,8 @@ impl Cranks {
         jacobian
     }
 
-    /// Both facings of a pose. One has its plane in the direction `(c, s)`, perpendicular to axis 1. `tilt` is the sine of
-    /// the angle between axis 1 and tool axis.
+    /// Both facings of a pose. The plane of one facing has the direction `(c, s)`, perpendicular to axis 1. `tilt` is
+    /// the sine of the angle between axis 1 and tool axis.
     pub(super) fn facings(
         &self,
         origin: &Vector3<f64>,

@@ -257,7 +257,7 @@ fn what_no_branch_reaches_and_what_every_branch_leaves_open_is_refused() {
     }
 }
 
-/// The 24 orientations whose axes are those of the base frame.
+/// The 24 orientations whose axes are parallel to the axes of the base frame.
 fn axis_aligned() -> Vec<UnitQuaternion<f64>> {
     let axes = [Vector3::x(), Vector3::y(), Vector3::z()];
     let signed: Vec<_> = axes.into_iter().flat_map(|axis| [axis, -axis]).collect();

@@ -249,7 +249,7 @@ impl<P: Port> CanBus<P> {
         Sign::of(frame, self.config.host_node, |node| self.routes.place(node).is_some())
     }
 
-    /// Warns of what bring-up found in the drives.
+    /// Takes the warnings that bring-up found in the drives.
     fn warn_of_bring_up(&mut self) {
         for member in &self.members {
             let node = member.bring_up.node().raw();
@@ -259,7 +259,8 @@ impl<P: Port> CanBus<P> {
         }
     }
 
-    /// Greatest number of readings in a cycle: the shortest frames of a full bus in a period, and those of a late cycle.
+    /// Greatest number of readings in a cycle. The readings suffice for the shortest frames of a full bus in a period,
+    /// and for the frames of a late cycle.
     fn readings(&self) -> usize {
         let frames = self.config.period.as_micros() / SHORTEST_FRAME.as_micros();
         2 + usize::try_from(frames).unwrap_or_default() / self.received.len()
@@ -397,7 +398,7 @@ impl<P: Port> DriveGroup for CanBus<P> {
     fn read(&mut self, now: Instant, states: &mut [AxisState]) {
         self.counters.last_bus_time = Duration::ZERO;
         self.sensors.iter_mut().for_each(WrenchNode::begin_of_read);
-        // Foreign frames may fill the buffer several times. Another reading follows a full buffer alone.
+        // Foreign frames may fill the buffer several times. Another reading follows only if the buffer was full.
         for _ in 0..self.readings() {
             match self.port.receive(now, &mut self.received) {
                 Ok(count) => {

@@ -26,7 +26,7 @@ impl CycleLaw for Drift {
     }
 }
 
-/// A rig after a motion of axis 0 to 0.005 rad, whose law has the parameter `keeps`.
+/// A rig after a motion of axis 0 to 0.005 rad under a law with the parameter `keeps`.
 fn displaced(velocity: f64, keeps: f64) -> Rig {
     let mut rig = Rig::new(1);
     let law = Box::new(Drift { most: velocity, velocity: 0.0 });

@@ -17,10 +17,10 @@ use serde::Serialize;
 
 use super::{bytes, parsed, shown};
 
-/// Greatest number of passes. The reason for a refusal may appear when another is gone.
+/// Greatest number of passes. After one refused line is removed, another refusal may appear.
 const PASSES: usize = 16;
 
-/// What was left out.
+/// Report of the lines left out.
 #[derive(Serialize)]
 struct Report {
     file: String,
@@ -49,7 +49,7 @@ pub(super) fn strip(input: &Path, output: &Path, replacement: Replacement, json:
     streams::answer(&Report { file: shown(output), values, left_out }, json)
 }
 
-/// The text without what is refused, the lines left out, and the number of values that remain.
+/// The text without the refused lines, the lines left out, and the number of values that remain.
 fn accepted(path: &Path, mut text: Vec<u8>) -> anyhow::Result<(Vec<u8>, Vec<LeftOut>, usize)> {
     let mut left_out = BTreeMap::new();
     for _ in 0..PASSES {
@@ -63,7 +63,7 @@ fn accepted(path: &Path, mut text: Vec<u8>) -> anyhow::Result<(Vec<u8>, Vec<Left
         let known: BTreeSet<u32> = left_out.keys().copied().collect();
         let mut refused = lines.values();
         for line in stripped.lines.difference(&known) {
-            // A line that is not refused itself has a value in a section that is.
+            // A line without a refusal belongs to a section with a refused value.
             let why = lines.get(line).or_else(|| refused.next());
             let why = why.map_or((false, String::new()), |why| (matches!(why, Refused::Reserved(_)), reason(why)));
             left_out.insert(*line, LeftOut { line: *line, reserved: why.0, reason: why.1 });
@@ -76,14 +76,14 @@ fn accepted(path: &Path, mut text: Vec<u8>) -> anyhow::Result<(Vec<u8>, Vec<Left
     bail!("{}: the lines that are refused cannot be left out; correct them", shown(path))
 }
 
-/// The check of a cell, for the drive that the file is for.
+/// The check that a cell file makes, for the drive that the file names.
 fn check(dcf: &Eds) -> Checked {
     let node = dcf.commissioning.as_ref().and_then(|place| place.node).unwrap_or(NodeId::MIN);
     let vendor = dcf.identity(VENDOR_ID.subindex).unwrap_or(0);
     Checked::of(dcf, node, vendor)
 }
 
-/// The reason in one line of a file.
+/// The reason, as one line of a file.
 fn reason(refused: &Refused) -> String {
     match refused {
         Refused::Reserved(reserved) => format!("belongs to the driver: {}", reserved.why),

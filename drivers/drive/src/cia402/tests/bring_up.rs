@@ -89,7 +89,7 @@ fn an_epos4_is_asked_and_told_this_frame_by_frame() {
             expected.extend(["C56000", "C66000"].map(|object| format!("602#40{object}00000000")));
         }
         if told.starts_with("602#239A60") {
-            // Behind the reaction to a lost connection, objects that this store lacks. An EPOS4 lacks the home offset.
+            // Objects after the reaction to a lost connection, which this store lacks. An EPOS4 lacks the home offset.
             for lacking in [
                 "2F29100100000000",
                 "4029100100000000",
