@@ -4,8 +4,8 @@
 //! * **Late SYNC.** A drive that closes the position loop interpolates its set-points over one period. Foreign frames
 //!   on the bus delay SYNC, and the set-point stands until SYNC comes. The velocity loop samples this standstill as
 //!   lost velocity, and only a position error makes up for the loss.
-//! * **Weight.** A loop of the host takes over the weight of robot and payload when the brakes open. The integral of
-//!   the loop is zero then.
+//! * **Weight and friction.** A loop of the host takes over the weight of robot and payload when the brakes open, and
+//!   breaks the friction at the first motion. The integral of the loop is zero then.
 
 use std::fmt;
 
@@ -21,8 +21,8 @@ use crate::cell::CellFile;
 /// the periods.
 const STANDS: f64 = 0.5e-3;
 
-/// Share of the limit above which a sag by the weight is a warning.
-const SAGS: f64 = 0.7;
+/// Share of the limit above which a sag is a warning: at half of `following_error`, an axis that stands still is a fault.
+const SAGS: f64 = 0.5;
 
 /// Following error that an axis may have, with its cause.
 #[derive(Clone, Debug, PartialEq)]
@@ -39,7 +39,7 @@ pub(crate) struct Lag {
 enum Cause {
     /// Greatest velocity of the motor, rad/s.
     LateSync { velocity: f64 },
-    /// Greatest weight at the motor, N·m.
+    /// Greatest weight and friction at rest, at the motor, N·m.
     Weight { torque: f64 },
 }
 
@@ -55,8 +55,8 @@ impl fmt::Display for Lag {
             ),
             Cause::Weight { torque } => write!(
                 f,
-                "its loop takes over a weight of {torque:.2} N·m when the brakes open. Raise velocity_gain, or give \
-                 following_error at least {:.2} rad",
+                "its loop takes over a weight and a friction of {torque:.2} N·m when the brakes open. Raise velocity_gain, or \
+                 give following_error at least {:.2} rad",
                 error / SAGS
             ),
         }
@@ -80,7 +80,7 @@ pub(crate) fn of(file: &CellFile, robot: usize, fastest: &Axes, heaviest: &Axes)
             }
             Some((plant, law, output)) => {
                 let PlantConfig::Physical(motor) = plants::plant(file, robot, number).plant else { return None };
-                let torque = heaviest[number];
+                let torque = heaviest[number] + motor.friction.stiction;
                 let needed = match output {
                     Output::Velocity => return None,
                     Output::Torque => torque,

@@ -158,8 +158,9 @@ fn check_warns_of_axes_that_lag_behind_by_late_set_points_or_by_their_weight() {
         law.velocity_gain *= 0.16;
     });
     let warnings = check(&soft).unwrap().warnings;
-    let named =
-        |warning: &String| warning.starts_with("robot irb6: axis upper-arm ") && warning.contains(" a weight of ");
+    let named = |warning: &String| {
+        warning.starts_with("robot irb6: axis upper-arm ") && warning.contains(" a weight and a friction of ")
+    };
     assert!(warnings.iter().any(named) && warnings.len() == 1, "{warnings:?}");
     let found = fault_of(&soft, None).unwrap();
     assert!(found.starts_with("following error "), "{found}");

@@ -82,7 +82,7 @@ fn in_scene(file: &CellFile, program: &Program, stop: &Arc<AtomicBool>) -> anyho
 fn refusal(report: &RunReport) -> anyhow::Error {
     let mut told: Vec<_> = report.faults.iter().take(TOLD).map(ToString::to_string).collect();
     if report.faults.len() > TOLD {
-        told.push(format!("and {} faults more", report.faults.len() - TOLD));
+        told.push(format!("and {} more faults", report.faults.len() - TOLD));
     }
     anyhow!("{}", told.join("; "))
 }
