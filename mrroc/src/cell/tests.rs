@@ -3,6 +3,7 @@
 mod bounds;
 mod camera;
 mod conveyor;
+mod device_configuration;
 mod emergency_contact;
 mod families;
 mod force;
