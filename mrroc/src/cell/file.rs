@@ -101,6 +101,13 @@ impl CellFile {
         read::parameters(&self.text, names).map_err(|error| FileError { path: self.path.clone(), error })
     }
 
+    /// The key of the table that [`parameters_of`](Self::parameters_of) reads.
+    pub(crate) fn parameters_key(&self, names: &[&'static str]) -> super::Path {
+        let task = super::Path::to("task");
+        let own = names.iter().find(|name| self.cell.task.contains_key(**name));
+        own.map_or(task.clone(), |name| task.then(*name))
+    }
+
     /// The device configuration of axis `axis` of robot `robot`, if it has one.
     pub fn configuration(&self, robot: usize, axis: usize) -> Option<&DeviceConfiguration> {
         self.configurations[robot][axis].as_ref()

@@ -139,10 +139,7 @@ pub(super) async fn teach(cell: &mut Cell, joints: Option<JointConvention>) -> O
     let parameters: Parameters = cell.parameters_of(&["teach"])?;
     let path = parameters.path(cell);
     let mut robot = parameters.robot(cell)?;
-    let key = match cell.file().cell.task.contains_key("teach") {
-        true => cell::Path::to("task").then("teach").then("file"),
-        false => cell::Path::to("task").then("file"),
-    };
+    let key = cell.file().parameters_key(&["teach"]).then("file");
     if !parameters.replace && fs::symlink_metadata(&path).is_ok() {
         let problem = format!("{} is there already: name another, or set replace = true", path.display());
         return Err(cell.file().refuse(&key, problem).into());
@@ -309,9 +306,11 @@ async fn displace(robot: &mut Robot, parameters: &Parameters, axis: usize, by: f
 
 /// Homes the robot and executes the trajectory file. `joints` replaces the parameter of this name.
 pub(super) async fn replay(cell: &mut Cell, joints: Option<JointConvention>) -> Outcome {
-    let parameters: Parameters = cell.parameters_of(&["replay", "teach"])?;
+    const TABLES: [&str; 2] = ["replay", "teach"];
+    let parameters: Parameters = cell.parameters_of(&TABLES)?;
     let mut robot = parameters.robot(cell)?;
-    let motion = robot.motions().trajectory_of(&parameters.path(cell), joints.or(parameters.joints))?;
+    let remedy = format!("set {}, or give --joints", cell.file().parameters_key(&TABLES).then("joints"));
+    let motion = robot.motions().trajectory_of(&parameters.path(cell), joints.or(parameters.joints), &remedy)?;
     robot.enable().await?;
     robot.home().await?;
     robot.execute(motion).await?;
@@ -320,10 +319,30 @@ pub(super) async fn replay(cell: &mut Cell, joints: Option<JointConvention>) -> 
 
 #[cfg(test)]
 mod tests {
-    //! Orders.
+    //! Orders, and refusals of trajectory files.
 
     use super::*;
 
+    use crate::cell::CellFile;
+    use crate::rehearsal::rehearse;
+    use crate::tasks::CarriedTask;
+
+    const IRB6: &str = include_str!("../../../cells/irb6.toml");
+
+    #[test]
+    fn a_refused_joint_file_names_the_table_that_has_the_parameters() {
+        let directory = tempfile::tempdir().unwrap();
+        let joints = "JOINT\n1\nABSOLUTE\n1 1 1 1 1\n1 1 1 1 1\n0.3 -1.5 0.1 0.2 0\n";
+        fs::write(directory.path().join("irb6.trj"), joints).unwrap();
+        let (cell, _) = IRB6.split_once("[task]").unwrap();
+        for table in ["task.teach", "task.replay", "task"] {
+            let path = directory.path().join("cell.toml");
+            fs::write(&path, format!("{cell}[{table}]\nfile = \"irb6.trj\"\n")).unwrap();
+            let file = CellFile::read(&path).unwrap();
+            let said = format!("{:#}", rehearse(&file, &CarriedTask::Replay.program()).unwrap_err());
+            assert!(said.contains(&format!("inclinations: set {table}.joints, or give --joints")), "{said}");
+        }
+    }
     #[test]
     fn orders_are_words_of_the_operator_and_other_lines_are_refused_with_the_reason() {
         let axes = ["column", "lower-arm"];
