@@ -265,6 +265,16 @@ fn a_joint_file_without_a_convention_is_refused_with_both_readings() {
 }
 
 #[test]
+fn a_file_with_two_conventions_is_refused_with_both_lines() {
+    let of = |lines: &str| TrajectoryFile::parse(&format!("JOINT\n1\nABSOLUTE\n1 1\n1 1\n0 0\n{lines}"));
+    let refused = of("joints = relative\n\n1 1\njoints = \"inclination\"\n").map_err(|error| error.to_string());
+    let problem = "10: joints = inclination contradicts line 7, joints = relative: remove one of the two lines";
+    assert_eq!(refused, Err(problem.to_owned()));
+    let twice = of("joints = relative\njoints = relative\n").unwrap();
+    assert_eq!(twice.joints(), Some(JointConvention::Relative));
+}
+
+#[test]
 fn poses_of_the_tool_and_of_motors_are_converted_to_the_joints_that_reach_them() {
     let arm = irp6();
     let joints = [[0.1, -1.3, 0.2, 0.7, 1.5, -0.4, 0.0, 0.0], [0.3, -1.4, 0.1, 0.6, 1.2, -0.2, 0.0, 0.0]];
