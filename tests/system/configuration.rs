@@ -67,9 +67,13 @@ fn the_published_data_sheet_is_the_one_the_command_prints() {
     let serial = mrroc(["eds".as_ref(), example("irb6-serial").as_os_str(), "column".as_ref()]);
     refused(&serial, &["irb6-serial.toml: the cell has no drive on CAN"]);
     assert!(!serial.stderr.contains("there are"), "{serial:?}");
-    // The column of the IRb-6 is on a serial line.
-    let two = mrroc(["eds".as_ref(), example("lab").as_os_str(), "column".as_ref()]);
-    refused(&two, &["more than one axis is called \"column\"", "irp6-track.column (node"]);
+    // The IRb-6 has a column and a wrist roll too, on serial lines.
+    let one = mrroc(["eds".as_ref(), example("lab").as_os_str(), "column".as_ref()]);
+    assert_eq!(one.status.code(), Some(0), "{one:?}");
+    let two = mrroc(["eds".as_ref(), example("lab").as_os_str(), "wrist-roll".as_ref()]);
+    let both = "more than one axis is called \"wrist-roll\" with a drive on CAN: irp6-track.wrist-roll (node 2), \
+                rnt.wrist-roll (node 4)\n";
+    refused(&two, &[both]);
 }
 
 #[test]
@@ -139,7 +143,7 @@ fn a_dcf_is_in_the_drive_before_it_is_switched_on() {
     }
 
     let check = mrroc(["check".as_ref(), cell.as_os_str()]);
-    let line = "motor.dcf asks for 4 writes and notes 1 values more";
+    let line = "motor.dcf asks for 4 writes and notes 1 value more";
     assert!(check.stdout.contains(line), "{check:?}");
 }
 
