@@ -346,8 +346,8 @@ fn read_only_values_are_compared_and_defaults_are_written_where_the_drive_differ
     let check = mrroc(["check".as_ref(), cell.as_os_str()]);
     assert_eq!(check.status.code(), Some(0), "{check:?}");
     for line in [
-        "motor.dcf asks for 2 writes and notes 1 values more",
-        "1 writes are of defaults, made where the drive holds another value",
+        "motor.dcf asks for 2 writes and notes 1 value more",
+        "1 write is of a default, made where the drive holds another value",
         "2 read-only values are compared with the drive",
     ] {
         assert!(check.stdout.contains(line), "{line}: {check:?}");
@@ -408,7 +408,7 @@ fn report_and_page_of_a_run_say_what_a_dcf_asks_for_and_what_is_flawed_in_it() {
         assert_eq!(of_axis[key], count, "{key}: {of_axis}");
     }
     assert!(of_axis["warnings"][0].as_str().unwrap().ends_with(&flaw), "{of_axis}");
-    let asked = "motor.dcf asks for 1 writes and notes 1 values more; 1 read-only values are compared with the drive";
+    let asked = "motor.dcf asks for 1 write and notes 1 value more; 1 read-only value is compared with the drive";
     for said in [asked, &flaw, "1 of 1 read-only values differ from the device configuration file"] {
         assert!(page.contains(said), "{said}: {page}");
     }
