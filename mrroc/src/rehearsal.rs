@@ -31,7 +31,7 @@ use anyhow::anyhow;
 use can::Instant;
 use controller::ecp::EcpError;
 use controller::executor::{Ended, InstructionError, News, SystemError, Turns};
-use controller::generator::{Axes, PlannedStart};
+use controller::generator::{Axes, GeneratorError, PlannedStart};
 use drive::{AxisCommand, AxisState, BringUpError, DriveGroup, Fault, GroupCounters, Homing, Power, Setpoint};
 use servo::{PositionLoop, Servo, lockstep};
 
@@ -360,15 +360,23 @@ fn refuse_instruction(
         }
     };
     match program.of_file {
-        true => of_program(file, robot, instruction, why),
+        true => of_program(file, robot, instruction, &cause, why),
         false => of_task(file, robot, instruction, why, extent),
     }
 }
 
-/// The refusal of an instruction of the cell file's program.
-fn of_program(file: &CellFile, robot: usize, instruction: usize, why: String) -> anyhow::Error {
+/// The refusal of an instruction of the cell file's program. The key is that of the number where the cause has one.
+fn of_program(file: &CellFile, robot: usize, instruction: usize, cause: &EcpError, why: String) -> anyhow::Error {
     let place = file.cell.robot[robot].instruction_of(instruction).map(|index| instruction_path(robot, index));
-    file.refuse(&place.unwrap_or(Path::to("robot").then(robot)), why)
+    let key = match (place, cause) {
+        // Joint motions alone have a duration.
+        (Some(place), EcpError::Generator { error: GeneratorError::TooShort { .. }, .. }) => {
+            place.then("joints").then("duration")
+        }
+        (Some(place), _) => place,
+        (None, _) => Path::to("robot").then(robot),
+    };
+    file.refuse(&key, why)
 }
 
 /// The refusal of an instruction of a task outside a cell file.
@@ -488,5 +496,30 @@ impl DriveGroup for IdealDrives {
 
     fn counters(&self) -> GroupCounters {
         GroupCounters::default()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::tasks::CarriedTask;
+
+    const IRB6: &str = include_str!("../../cells/irb6.toml");
+
+    #[test]
+    fn a_refused_duration_is_refused_with_its_key() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("cell.toml");
+        let jerk_limited = "generator = \"jerk-limited\", ";
+        let refused = |text: &str| {
+            std::fs::write(&path, text).unwrap();
+            let file = CellFile::read(&path).unwrap();
+            rehearse(&file, &CarriedTask::Programs.program()).unwrap_err().to_string()
+        };
+        let said = refused(&IRB6.replace(jerk_limited, &format!("{jerk_limited}duration = 0.01, ")));
+        assert!(said.contains(": robot[0].program[2].joints.duration: step 0: takes "), "{said}");
+        // Another cause is refused with the key of the instruction.
+        let said = refused(&IRB6.replace("position = [0.85, 0.0, 0.85]", "position = [0.85, 0.0, 9.0]"));
+        assert!(!said.contains("duration"), "{said}");
     }
 }

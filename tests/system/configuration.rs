@@ -67,9 +67,13 @@ fn the_published_data_sheet_is_the_one_the_command_prints() {
     let serial = mrroc(["eds".as_ref(), example("irb6-serial").as_os_str(), "column".as_ref()]);
     refused(&serial, &["irb6-serial.toml: the cell has no drive on CAN"]);
     assert!(!serial.stderr.contains("there are"), "{serial:?}");
-    // The column of the IRb-6 is on a serial line.
-    let two = mrroc(["eds".as_ref(), example("lab").as_os_str(), "column".as_ref()]);
-    refused(&two, &["more than one axis is called \"column\"", "irp6-track.column (node"]);
+    // The IRb-6 has a column and a wrist roll too, on serial lines.
+    let one = mrroc(["eds".as_ref(), example("lab").as_os_str(), "column".as_ref()]);
+    assert_eq!(one.status.code(), Some(0), "{one:?}");
+    let two = mrroc(["eds".as_ref(), example("lab").as_os_str(), "wrist-roll".as_ref()]);
+    let both = "more than one axis is called \"wrist-roll\" with a drive on CAN: irp6-track.wrist-roll (node 2), \
+                rnt.wrist-roll (node 4)\n";
+    refused(&two, &[both]);
 }
 
 #[test]
@@ -139,7 +143,7 @@ fn a_dcf_is_in_the_drive_before_it_is_switched_on() {
     }
 
     let check = mrroc(["check".as_ref(), cell.as_os_str()]);
-    let line = "motor.dcf asks for 4 writes and notes 1 values more";
+    let line = "motor.dcf asks for 4 writes and notes 1 value more";
     assert!(check.stdout.contains(line), "{check:?}");
 }
 
@@ -342,8 +346,8 @@ fn read_only_values_are_compared_and_defaults_are_written_where_the_drive_differ
     let check = mrroc(["check".as_ref(), cell.as_os_str()]);
     assert_eq!(check.status.code(), Some(0), "{check:?}");
     for line in [
-        "motor.dcf asks for 2 writes and notes 1 values more",
-        "1 writes are of defaults, made where the drive holds another value",
+        "motor.dcf asks for 2 writes and notes 1 value more",
+        "1 write is of a default, made where the drive holds another value",
         "2 read-only values are compared with the drive",
     ] {
         assert!(check.stdout.contains(line), "{line}: {check:?}");
@@ -404,7 +408,7 @@ fn report_and_page_of_a_run_say_what_a_dcf_asks_for_and_what_is_flawed_in_it() {
         assert_eq!(of_axis[key], count, "{key}: {of_axis}");
     }
     assert!(of_axis["warnings"][0].as_str().unwrap().ends_with(&flaw), "{of_axis}");
-    let asked = "motor.dcf asks for 1 writes and notes 1 values more; 1 read-only values are compared with the drive";
+    let asked = "motor.dcf asks for 1 write and notes 1 value more; 1 read-only value is compared with the drive";
     for said in [asked, &flaw, "1 of 1 read-only values differ from the device configuration file"] {
         assert!(page.contains(said), "{said}: {page}");
     }

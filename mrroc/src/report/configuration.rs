@@ -4,6 +4,7 @@ use std::fmt;
 
 use serde::Serialize;
 
+use super::counted;
 use crate::cell::{CellFile, printable};
 
 /// The device configuration file of one axis.
@@ -47,10 +48,20 @@ impl ConfigurationReport {
     /// What the file asks for, the axis in the first line.
     pub(crate) fn lines(&self) -> impl Iterator<Item = String> {
         let Self { axis, file, writes, defaults, compared, left_out, .. } = self;
-        let defaults = (*defaults > 0)
-            .then(|| format!("{defaults} writes are of defaults, made where the drive holds another value"));
-        let compared = (*compared > 0).then(|| format!("{compared} read-only values are compared with the drive"));
-        let first = format!("axis {axis}: {file} asks for {writes} writes and notes {left_out} values more");
+        let defaults = (*defaults > 0).then(|| {
+            let of = if *defaults == 1 {
+                "1 write is of a default".into()
+            } else {
+                format!("{defaults} writes are of defaults")
+            };
+            of + ", made where the drive holds another value"
+        });
+        let compared = (*compared > 0).then(|| {
+            let is = if *compared == 1 { "is" } else { "are" };
+            format!("{} {is} compared with the drive", counted(*compared, "read-only value"))
+        });
+        let (writes, values) = (counted(*writes, "write"), counted(*left_out, "value"));
+        let first = format!("axis {axis}: {file} asks for {writes} and notes {values} more");
         [Some(first), defaults, compared].into_iter().flatten()
     }
 
@@ -64,5 +75,29 @@ impl ConfigurationReport {
 impl fmt::Display for ConfigurationReport {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(&self.lines().collect::<Vec<_>>().join("; "))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn one_write_and_one_value_are_told_in_the_singular() {
+        let of = |number: usize| ConfigurationReport {
+            axis: "column".into(),
+            file: "motor.dcf".into(),
+            writes: number,
+            defaults: number,
+            compared: number,
+            left_out: number,
+            warnings: Vec::new(),
+        };
+        let one = "axis column: motor.dcf asks for 1 write and notes 1 value more; 1 write is of a default, made where \
+                   the drive holds another value; 1 read-only value is compared with the drive";
+        assert_eq!(of(1).to_string(), one);
+        let two = "axis column: motor.dcf asks for 2 writes and notes 2 values more; 2 writes are of defaults, made \
+                   where the drive holds another value; 2 read-only values are compared with the drive";
+        assert_eq!(of(2).to_string(), two);
     }
 }
