@@ -532,7 +532,7 @@ impl BusReport {
 }
 
 /// A number with its noun, whose plural ends in s.
-fn counted<N: fmt::Display + From<u8> + PartialEq>(number: N, noun: &str) -> String {
+fn counted<N: Copy + fmt::Display + From<u8> + PartialEq>(number: N, noun: &str) -> String {
     let plural = if number == N::from(1) { "" } else { "s" };
     format!("{number} {noun}{plural}")
 }
