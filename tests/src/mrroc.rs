@@ -13,8 +13,8 @@ use std::sync::mpsc::{self, Receiver};
 use std::thread;
 use std::time::Duration;
 
-use ::mrroc::cell::Cell;
-use can::candump;
+use ::mrroc::cell::{Cell, Wait};
+use can::{candump, clock};
 
 use crate::disturbance;
 
@@ -251,16 +251,19 @@ impl Running {
     }
 
     /// Waits until `file` satisfies `wanted`. Returns the outputs of the command if it ends before. Panics at the
-    /// deadline.
+    /// deadline. A look at a long file takes a while, and the looks take a tenth of the time at most.
     pub fn ended_before(&self, file: &Path, wanted: impl Fn(&str) -> bool) -> Result<(), String> {
-        const LOOK: Duration = Duration::from_millis(20);
-        for _ in 0..DEADLINE.as_millis() / LOOK.as_millis() {
+        const PAUSE: Duration = Duration::from_millis(20);
+        let end = clock::now() + DEADLINE;
+        while clock::now() < end {
+            let began = clock::now();
             if fs::read_to_string(file).is_ok_and(|text| wanted(&text)) {
                 return Ok(());
             }
+            let pause = PAUSE.max(10 * clock::now().since(began));
             // The outputs are available after the end of the command.
             let said = self.stdout.as_ref().unwrap_or(&self.stderr);
-            if let Ok(said) = said.recv_timeout(LOOK) {
+            if let Ok(said) = said.recv_timeout(pause) {
                 return Err(format!("{said} {:?}", self.stderr.recv_timeout(DEADLINE)));
             }
         }
@@ -339,9 +342,11 @@ impl Directory {
         path
     }
 
-    /// Writes an example cell that `change` has modified.
+    /// Writes an example cell that `change` has modified. Its servo thread does not spin, which would cost a quarter of a
+    /// processor.
     pub fn cell(&self, example: &str, change: impl FnOnce(&mut Cell)) -> PathBuf {
         let mut cell = Cell::parse(&text(example)).expect("example cells are right");
+        cell.realtime.wait = Wait::Plain;
         change(&mut cell);
         let text = toml::to_string(&cell).expect("a cell is TOML");
         self.write("cell.toml", &text)
