@@ -9,11 +9,12 @@ use crate::plant::Noise;
 use crate::scene::{FlangeProbe, View};
 use crate::{LineDevice, Mechanism, outbox::Outbox};
 
-/// The emulation of one device on a serial line, as a function of (bytes, now): no thread, no clock, no tty. The emulation
-/// is written from the manual of the device, and shares no code with its driver except the layout of telegrams.
+/// The emulation of one device on a serial line, as a function of (bytes, now): no thread, no clock, no tty. The
+/// emulation is written from the manual of the device, and shares no code with its driver except the layout of
+/// telegrams.
 ///
-/// `now` never decreases, and [`advance`](Self::advance) is called at [`next`](Self::next) before any later byte is handed
-/// in.
+/// `now` never decreases, and [`advance`](Self::advance) is called at [`next`](Self::next) before any later byte is
+/// handed in.
 ///
 /// Methods with a default may be added to this trait; every other change is announced in the change log.
 pub trait LineEmulator: Send + 'static {
@@ -42,8 +43,8 @@ pub struct Surroundings {
 }
 
 impl Surroundings {
-    /// A device at `place` in the frame of `flange`, or in the world without a flange. `deviation`: standard deviation of
-    /// [`noise`](Self::noise), whose random numbers follow from `seed`.
+    /// A device at `place` in the frame of `flange`, or in the world without a flange. `deviation`: standard deviation
+    /// of [`noise`](Self::noise), whose random numbers follow from `seed`.
     pub fn new(view: View, flange: Option<FlangeProbe>, place: Isometry3<f64>, deviation: f64, seed: u64) -> Self {
         Self { view, flange, place, noise: Noise::new(seed), deviation }
     }
@@ -53,16 +54,16 @@ impl Surroundings {
         self.flange.as_ref().map_or(self.place, |flange| flange.pose() * self.place)
     }
 
-    /// Distance from the origin of the device to the first surface in a direction of its frame, m. Walls and bodies of the
-    /// scene are seen, and tools and links of robots are not. `None` if there is no surface, or no direction.
+    /// Distance from the origin of the device to the first surface in a direction of its frame, m. Walls and bodies of
+    /// the scene are seen, and tools and links of robots are not. `None` if there is no surface, or no direction.
     pub fn distance(&self, direction: [f64; 3]) -> Option<f64> {
         let pose = self.pose();
         let direction = Unit::try_new(pose.rotation * Vector3::from(direction), 1e-12)?;
         self.view.ray(&Point3::from(pose.translation.vector), &direction).map(|hit| hit.distance)
     }
 
-    /// Distance from the origin of the device to the nearest surface in a cone, m. `half_cone`: half the opening angle, rad.
-    /// See [`View::nearest_in_cone`].
+    /// Distance from the origin of the device to the nearest surface in a cone, m. `half_cone`: half the opening angle,
+    /// rad. See [`View::nearest_in_cone`].
     pub fn nearest_in_cone(&self, direction: [f64; 3], half_cone: f64) -> Option<f64> {
         let pose = self.pose();
         let axis = Unit::try_new(pose.rotation * Vector3::from(direction), 1e-12)?;
@@ -88,8 +89,8 @@ pub struct Answer<'a> {
 }
 
 impl Answer<'_> {
-    /// Sends bytes after a delay. Bytes leave in the order of the calls, and the line takes its time for each. Bytes beyond
-    /// 1024 that wait are lost.
+    /// Sends bytes after a delay. Bytes leave in the order of the calls, and the line takes its time for each. Bytes
+    /// beyond 1024 that wait are lost.
     pub fn send(&mut self, after: Duration, bytes: &[u8]) {
         *self.last = (self.now + after).max(*self.last);
         self.outbox.put(*self.last, bytes);

@@ -207,7 +207,7 @@ impl CheckReport {
                 }
                 (Some(scan), None) => writeln!(f, "a scan takes {scan:.0} ms")?,
                 (None, None) => {
-                    writeln!(f, "the answer has come after {worst:.1} % of {} µs at the worst", self.period_us)?
+                    writeln!(f, "the answer has come after {worst:.1} % of {} µs at the worst", self.period_us)?;
                 }
             }
             return write_messages(f, &bus.messages);

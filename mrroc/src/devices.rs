@@ -23,8 +23,8 @@ pub use crate::robots::Keys;
 pub(crate) use kind::{OwnKind, check};
 pub use kind::{OwnSettings, register};
 
-/// A kind of device that a program adds. The fields of the type are the keys of the kind in cell files, beside the keys of
-/// every device:
+/// A kind of device that a program adds. The fields of the type are the keys of the kind in cell files, beside the keys
+/// of every device:
 ///
 /// ```toml
 /// [[device]]
@@ -35,7 +35,7 @@ pub use kind::{OwnSettings, register};
 /// ```
 ///
 /// Every value is read by serde: `#[serde(deny_unknown_fields)]` refuses a misspelt key, `#[serde(default)]` permits a
-/// missing one.
+/// missing one. No field may have the name of a key that every device has.
 ///
 /// Methods with a default may be added to this trait; every other change is announced in the change log.
 pub trait OwnDevice: fmt::Debug + Serialize + DeserializeOwned + Keys + Send + Sync {

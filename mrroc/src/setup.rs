@@ -68,8 +68,8 @@ pub fn controller_configs(file: &CellFile, bundle: usize) -> Vec<axis_controller
 
 /// The devices of a cell on their ports and lines.
 pub struct Devices {
-    /// One drive group per bus, per bundle of lines, per force sensor on a line, per ultrasonic matrix and per device of
-    /// another crate, in the order of [`Cell::groups`](crate::cell::Cell::groups).
+    /// One drive group per bus, per bundle of lines, per force sensor on a line, per ultrasonic matrix and per device
+    /// of another crate, in the order of [`Cell::groups`](crate::cell::Cell::groups).
     pub groups: Vec<Box<dyn DriveGroup>>,
     /// One link per I/O node, in the order of [`Cell::io`](crate::cell::Cell::io). Inputs are valid from the end of
     /// bring-up until the groups are dropped.
@@ -85,9 +85,9 @@ pub struct Devices {
     pub samples: Vec<DeviceSamples>,
 }
 
-/// The drive groups, I/O nodes and sensors of a cell, on the given ports and lines. `sensor_lines`: the lines of the force
-/// sensors, then of the ultrasonic matrices, then of the devices of other crates. The drive of axis `with_torque`, given as robot and axis number, takes a
-/// torque in addition to the position.
+/// The drive groups, I/O nodes and sensors of a cell, on the given ports and lines. `sensor_lines`: the lines of the
+/// force sensors, then of the ultrasonic matrices, then of the devices of other crates. The drive of axis
+/// `with_torque`, given as robot and axis number, takes a torque in addition to the position.
 pub fn devices(
     file: &CellFile,
     ports: Vec<Box<dyn Port>>,
@@ -184,8 +184,8 @@ pub fn rehearsed_devices(file: &CellFile) -> (Vec<RehearsedDevice>, Vec<DeviceLi
     file.cell.device.iter().map(|device| device.own.rehearsed(file.cell.period())).unzip()
 }
 
-/// The links to the cameras of a rehearsal, in the order of [`Cell::camera`](crate::cell::Cell::camera). The cameras give no
-/// pictures.
+/// The links to the cameras of a rehearsal, in the order of [`Cell::camera`](crate::cell::Cell::camera). The cameras
+/// give no pictures.
 pub fn rehearsed_cameras(file: &CellFile) -> Vec<CameraLink> {
     file.cell.camera.iter().map(|_| CameraLink::rehearsed()).collect()
 }

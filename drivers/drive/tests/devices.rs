@@ -12,6 +12,8 @@ use crate::no_allocation::ALLOCATIONS;
 
 const PERIOD: Duration = Duration::from_millis(2);
 
+const VALUES: &[DeviceValue] = &[DeviceValue::new("x", "", [0.0, 255.0])];
+
 /// Every byte is a sample, except for 0.
 struct Bytes;
 
@@ -68,7 +70,7 @@ fn no_cycle_of_a_device_of_another_crate_allocates() {
     let config = DeviceConfig {
         period: PERIOD,
         line: LineConfig::polled(Settings::EPOS, 1, 1),
-        values: &[DeviceValue::new("x", "", [0.0, 255.0])],
+        values: VALUES,
         tolerated_missing: 3,
         boot_timeout: Duration::from_secs(1),
     };

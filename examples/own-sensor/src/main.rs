@@ -59,7 +59,7 @@ impl OwnDevice for TofRange {
     }
 
     fn emulator(&self) -> Sensor {
-        Sensor { reach: self.reach, query: None }
+        Sensor { reach: self.reach, has_begun: false }
     }
 }
 
@@ -107,13 +107,13 @@ impl LineDriver for Driver {
 struct Sensor {
     reach: f64,
     /// Whether a query has begun.
-    query: Option<()>,
+    has_begun: bool,
 }
 
 impl LineEmulator for Sensor {
     fn receive(&mut self, byte: u8, _now: Instant, around: &mut Surroundings, answer: &mut Answer<'_>) {
-        if self.query.take().is_none() {
-            self.query = (byte == b'R').then_some(());
+        if !std::mem::take(&mut self.has_begun) {
+            self.has_begun = byte == b'R';
             return;
         }
         let noise = around.noise();

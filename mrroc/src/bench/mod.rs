@@ -257,7 +257,8 @@ pub struct SensorLine<'a> {
     settings: Settings,
 }
 
-/// The lines of all force sensors on serial lines, then of all ultrasonic matrices, then of all devices of other crates.
+/// The lines of all force sensors on serial lines, then of all ultrasonic matrices, then of all devices of other
+/// crates.
 pub fn sensor_lines(cell: &Cell) -> impl Iterator<Item = SensorLine<'_>> {
     let sensors = cell.serial_sensors().map(|sensor| &cell.force_sensor[sensor]).map(|it| SensorLine {
         what: "force sensor",

@@ -9,8 +9,8 @@ use crate::bench::random::Stream;
 use crate::cell::Device;
 
 impl EmulatedCell<'_> {
-    /// Adds the lines of all devices of other crates, switched on at time zero. The scene is in `world` already. Returns
-    /// the host's ends.
+    /// Adds the lines of all devices of other crates, switched on at time zero. The scene is in `world` already.
+    /// Returns the host's ends.
     pub fn add_devices(&self, world: &mut World) -> Vec<VirtualLine> {
         let devices = self.file.cell.device.iter().enumerate();
         let add = |(number, device): (usize, &Device)| {

@@ -15,6 +15,9 @@ use hil::{AxisConfig, InputProbe, Mechanism, Mount, OutputProbe, plant::PlantCon
 use crate::bench::drive_ids::DriveIds;
 use crate::cell::{CellFile, EmulatedPayload, Path};
 
+/// The flange of the mechanism of a robot, and the flange of the cell file in its frame.
+type CarryingFlange = (FlangeProbe, Isometry3<f64>);
+
 /// A cell whose devices are emulated.
 pub struct EmulatedCell<'a> {
     /// The cell.
@@ -29,8 +32,8 @@ pub struct EmulatedCell<'a> {
     pub(super) beams: Vec<BeamProbe>,
     /// Switches of the touch probes of the scene.
     pub(super) touches: Vec<InputProbe>,
-    /// The flange of each robot that carries a device of another crate, and the flange of the cell file in its frame.
-    pub(super) flanges: RefCell<Vec<Option<(FlangeProbe, Isometry3<f64>)>>>,
+    /// The flange of each robot that carries a device of another crate.
+    pub(super) flanges: RefCell<Vec<Option<CarryingFlange>>>,
     /// Whether the axis controllers on serial lines had power before, and have their reference.
     pub(super) referenced: Cell<bool>,
     /// The buses and drives added to a world so far.

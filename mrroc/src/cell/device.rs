@@ -10,8 +10,8 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer, de, ser};
 use super::{Cell, defaults};
 use crate::devices::{OwnKind, OwnSettings};
 
-/// A device on a serial line of its own, whose kind the program adds. The kind has further keys in the same table, which
-/// the command `schema` of the program describes.
+/// A device on a serial line of its own, whose kind the program adds. The kind has further keys in the same table,
+/// which the command `schema` of the program describes.
 #[derive(Clone, Debug, Deserialize, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema), schemars(rename = "Device"))]
 #[serde(deny_unknown_fields)]
@@ -53,8 +53,8 @@ pub(crate) const DEVICE_KEYS: [&str; 9] =
 pub struct DeviceEmulator {
     /// Whether the device is absent from its line.
     pub absent: bool,
-    /// Time at which the cable of the emulated device breaks, s since the emulated devices were switched on; never where
-    /// absent.
+    /// Time at which the cable of the emulated device breaks, s since the emulated devices were switched on; never
+    /// where absent.
     pub silent_from_s: Option<f64>,
     /// Standard deviation of the noise that the emulated device adds to what it measures, in the unit of the kind.
     pub noise: f64,

@@ -20,7 +20,7 @@ use crate::cell::{CellError, DEVICE_KEYS, DeviceKeys, Path, one_of, quoted, read
 ///
 /// # Panics
 ///
-/// If another kind has the name.
+/// If another kind has the name, or if the kind has a key that every device has.
 pub fn register<T: OwnDevice>() {
     let mut kinds = KINDS.write().unwrap_or_else(PoisonError::into_inner);
     let taken = kinds.iter().find(|kind| kind.name == T::KIND);
@@ -28,6 +28,11 @@ pub fn register<T: OwnDevice>() {
         return;
     }
     assert!(taken.is_none(), "two kinds of devices are called {:?}", T::KIND);
+    #[cfg(feature = "schema")]
+    if let Some(own) = schemars::schema_for!(T).get("properties").and_then(serde_json::Value::as_object) {
+        let shared = DEVICE_KEYS.iter().find(|key| own.contains_key(**key));
+        assert!(shared.is_none(), "the kind {:?} has the key {shared:?}, which every device has", T::KIND);
+    }
     // A kind stays known until the process ends.
     kinds.push(Box::leak(Box::new(Kind::of::<T>())));
 }

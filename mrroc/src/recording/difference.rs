@@ -7,8 +7,9 @@ use can::Instant;
 use prost::Message;
 use serde::Serialize;
 
-use super::messages::{BusEvent, DeviceSample, LineData, RobotCycle, RobotFault};
+use super::messages::{BusEvent, LineData, RobotCycle, RobotFault};
 use super::reader::Stored;
+use super::samples::DeviceSample;
 
 /// Most differences of the first differing cycle that are listed.
 const MOST: usize = 200;

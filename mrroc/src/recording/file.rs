@@ -10,8 +10,8 @@ use mcap::records::{MessageHeader, Metadata};
 use mcap::write::NoSeek;
 use mcap::{Compression, WriteOptions, Writer};
 
-use super::messages::descriptors;
-use super::schema::PACKAGE;
+use super::schema::{PACKAGE, Schema as _};
+use super::{messages, samples};
 
 /// Name of the metadata of a recording.
 pub(super) const METADATA: &str = "mrroc";
@@ -126,9 +126,11 @@ impl McapFile {
                 data: Cow::Borrowed(data),
             })?;
         }
-        let descriptors = descriptors();
+        let (usual, of_samples) = (messages::descriptors(), samples::descriptors());
         for (index, channel) in channels.iter().enumerate() {
-            let schema = writer.add_schema(&format!("{PACKAGE}.{}", channel.message), "protobuf", &descriptors)?;
+            let is_sample = channel.message == samples::DeviceSample::NAME;
+            let descriptors = if is_sample { &of_samples } else { &usual };
+            let schema = writer.add_schema(&format!("{PACKAGE}.{}", channel.message), "protobuf", descriptors)?;
             let id = writer.add_channel(schema, &channel.topic, "protobuf", &channel.metadata)?;
             debug_assert_eq!(usize::from(id), index + usize::from(FIRST));
         }

@@ -76,17 +76,6 @@ messages! {
         value = 2: [uint64] u64,
     }
 
-    /// A valid sample of a device of another crate, in the cycle that read the sample; without numbers, the end of the
-    /// validity of the last sample. The channel has the names and units of the numbers.
-    DeviceSample {
-        /// Number of the sample, from 1.
-        number = 1: [uint64] u64,
-        /// Earliest time of the measurement, ns.
-        not_before_ns = 2: [uint64] u64,
-        /// The numbers; NaN where not measured.
-        values = 3: [double, repeated] Vec<f64>,
-    }
-
     /// Punctuality of a cycle.
     Timing {
         /// Time from the deadline to the sending of the batches, ns.
@@ -189,17 +178,6 @@ const DOWN: i32 = -1;
 
 /// Code of an interface or a line that was removed.
 const GONE: i32 = -2;
-
-impl DeviceSample {
-    /// A sample with `count` numbers.
-    pub(super) fn of(sample: Option<&drive::device::DeviceSample>, count: usize) -> Self {
-        sample.map_or_else(Self::default, |sample| Self {
-            number: sample.number,
-            not_before_ns: sample.not_before.as_nanos(),
-            values: sample.values.iter().take(count).copied().collect(),
-        })
-    }
-}
 
 impl Timing {
     pub(super) fn of(late: Duration, step: Duration) -> Self {

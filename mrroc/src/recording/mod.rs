@@ -26,6 +26,7 @@ mod part_tests;
 mod reader;
 mod replay;
 mod replaying;
+mod samples;
 mod schema;
 mod sources;
 mod window;
@@ -53,7 +54,8 @@ use crate::row_file::{FileName, IncompleteFile, RowFile};
 use crate::run::RunOptions;
 use crate::streams;
 use file::McapFile;
-use messages::{BusEvent, Call, DeviceSample, LineData, Lost, RobotCycle, RobotFault, RobotOrder, Timing, Word};
+use messages::{BusEvent, Call, LineData, Lost, RobotCycle, RobotFault, RobotOrder, Timing, Word};
+use samples::DeviceSample;
 use window::Window;
 
 pub use difference::Difference;

@@ -19,11 +19,10 @@ use servo::{EffectorLink, JournalEvent, JournalReader, Order, Record, Servo, Spe
 
 use super::difference::{Comparison, Difference, Kind};
 use super::entries::{Entry, entries};
-use super::messages::{
-    BusEvent, Call, DeviceSample, LineData, RobotCycle, RobotFault, RobotOrder, Word as WordMessage,
-};
+use super::messages::{BusEvent, Call, LineData, RobotCycle, RobotFault, RobotOrder, Word as WordMessage};
 use super::reader::{End, Reader, Stored};
 use super::replay::{Place, Replay};
+use super::samples::DeviceSample;
 use super::sources::{Layout, words};
 use crate::cell::CellFile;
 use crate::{run, setup};
@@ -379,7 +378,7 @@ impl Replaying {
             }
         }
         for device in 0..self.samples.len() {
-            while let Some((at, sample)) = self.samples[device].next() {
+            while let Some((at, sample)) = self.samples[device].take() {
                 let message = DeviceSample::of(sample.as_ref(), self.layout.devices()[device]);
                 self.output(self.layout.device(device), at, &message);
             }

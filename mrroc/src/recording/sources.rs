@@ -8,8 +8,9 @@ use drive::device::{DeviceValue, count_of, names_of};
 
 use super::file::Channel;
 use super::messages::{
-    BusEvent, Call, DeviceSample, LineData, Lost, RobotCycle, RobotFault, RobotOrder, Timing, Word as WordMessage,
+    BusEvent, Call, LineData, Lost, RobotCycle, RobotFault, RobotOrder, Timing, Word as WordMessage,
 };
+use super::samples::DeviceSample;
 use super::schema::Schema;
 use crate::cell::{CellFile, Device};
 use crate::setup::Devices;

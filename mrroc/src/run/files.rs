@@ -105,7 +105,7 @@ impl Logs {
     /// Takes the samples of devices. Rows of a cycle need the samples of the cycle.
     fn drain_samples(&mut self) {
         for (device, samples) in self.samples.iter_mut().enumerate() {
-            while let Some((at, sample)) = samples.next() {
+            while let Some((at, sample)) = samples.take() {
                 self.tracks.sample(device, sample.as_ref());
                 if let Some(recorder) = &mut self.recorder {
                     recorder.sample(device, at, sample.as_ref());

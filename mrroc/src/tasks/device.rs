@@ -94,8 +94,8 @@ impl Device {
         }
     }
 
-    /// Waits for a sample that is measured after the call. Fails if the device has a fault, or if no such sample arrives
-    /// within the tolerated missing samples and four more.
+    /// Waits for a sample that is measured after the call. Fails if the device has a fault, or if no such sample
+    /// arrives within the tolerated missing samples and four more.
     pub async fn read(&self) -> Result<DeviceReading, TaskError> {
         let called = self.now().await;
         let mut waited = Duration::ZERO;
@@ -133,7 +133,8 @@ impl Device {
 }
 
 impl DeviceReading {
-    /// The number called `value`; the first one if the value has several. Fails if the device did not measure the number.
+    /// The number called `value`; the first one if the value has several. Fails if the device did not measure the
+    /// number.
     pub fn value(&self, value: &str) -> Result<f64, TaskError> {
         let (declared, numbers) = self.find(value)?;
         match numbers.first() {

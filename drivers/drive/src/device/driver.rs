@@ -42,8 +42,8 @@ pub enum Reception {
 
 /// Line of a device, and its telegrams.
 ///
-/// Fields may be added to this type; use [`polled`](Self::polled) or [`streamed`](Self::streamed). Every other change is
-/// announced in the change log.
+/// Fields may be added to this type; use [`polled`](Self::polled) or [`streamed`](Self::streamed). Every other change
+/// is announced in the change log.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct LineConfig {
@@ -87,7 +87,8 @@ impl LineConfig {
         Self { answer_delay, ..self }
     }
 
-    /// The same for a device whose answers carry the number of their query. The driver skips an answer with another number.
+    /// The same for a device whose answers carry the number of their query. The driver skips an answer with another
+    /// number.
     #[must_use]
     pub const fn numbered(self) -> Self {
         Self { is_numbered: true, ..self }
@@ -103,14 +104,15 @@ impl LineConfig {
         self.settings.line_time(self.query + self.answer)
     }
 
-    /// Longest time from sending a query to the end of its answer, or between two samples of a device that sends by itself.
+    /// Longest time from sending a query to the end of its answer, or between two samples of a device that sends by
+    /// itself.
     pub fn answer_timeout(&self, period: Duration) -> Duration {
         let interval = if self.is_streamed() { self.interval } else { Duration::ZERO };
         self.line_time() + self.answer_delay + interval + 2 * period + Self::SPARE
     }
 
-    /// Time for which the line must be quiet before the next query, once an answer is missing. An answer without a number
-    /// that is up to three times as late as permitted is therefore not taken for the answer to a later query.
+    /// Time for which the line must be quiet before the next query, once an answer is missing. An answer without a
+    /// number that takes up to three times its limit is therefore not taken for the answer to a later query.
     pub fn quiet_time(&self, period: Duration) -> Duration {
         if self.is_numbered || self.is_streamed() { Duration::ZERO } else { 2 * self.answer_timeout(period) }
     }

@@ -49,6 +49,8 @@ pub enum DeviceConfigError {
     Answer { answer: usize },
     #[error("an interval of {interval:?}, must be at most 60 s, and above 0 for a device that sends by itself")]
     Interval { interval: Duration },
+    #[error("an answer takes {answer:.1?} on the line, and the interval is {interval:?}")]
+    Busy { answer: Duration, interval: Duration },
     #[error("an answer after {delay:?}, must be at most 60 s")]
     AnswerDelay { delay: Duration },
 }
@@ -82,6 +84,10 @@ impl DeviceConfig {
         }
         if interval > LONGEST || (self.line.is_streamed() && interval.is_zero()) {
             return Err(DeviceConfigError::Interval { interval });
+        }
+        let on_line = settings.line_time(answer);
+        if self.line.is_streamed() && on_line > interval {
+            return Err(DeviceConfigError::Busy { answer: on_line, interval });
         }
         if delay > LONGEST {
             return Err(DeviceConfigError::AnswerDelay { delay });
@@ -135,8 +141,8 @@ enum Exchange {
     Idle { from: Instant },
     /// A sample is due: the query was sent at `at`, or the last sample of a device that sends by itself ended then.
     Due { at: Instant },
-    /// The last query has ended without its answer at `since`. The next query waits until the line was quiet long enough
-    /// since the time `quiet`.
+    /// The last query has ended without its answer at `since`. The next query waits until the line was quiet long
+    /// enough since the time `quiet`.
     Draining { since: Instant, quiet: Instant },
 }
 

@@ -7,10 +7,10 @@
 //!
 //! # The cycle
 //! A cycle reads once, and writes a query if the last exchange has ended and the interval of the device has passed. A
-//! query without a valid answer within its time is lost. The next query then waits until the line was quiet for twice that
-//! time, so that a late answer is not taken for the answer to another query. A driver whose answers carry the number of
-//! their query compares the number, and the line needs one reading without bytes
-//! ([`LineConfig::numbered`]). A device without queries sends by itself: its samples have a time limit too.
+//! query without a valid answer within its time is lost. The next query then waits until the line was quiet for twice
+//! that time, so that a late answer is not taken for the answer to another query. A driver whose answers carry the
+//! number of their query compares the number, and the line needs one reading without bytes ([`LineConfig::numbered`]).
+//! A device without queries sends by itself: its samples have a time limit too.
 //!
 //! # Faults
 //! A fault is latched until [`DeviceLink::reset_fault`] or the next bring-up. During a fault the state keeps the last

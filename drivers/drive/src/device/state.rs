@@ -22,8 +22,8 @@ pub struct DeviceSample {
     pub number: u64,
     /// Time of the cycle that read the end of the sample.
     pub read_at: Instant,
-    /// Earliest time of the measurement: the time of the query, or of a device that sends by itself the earliest time of
-    /// the first byte.
+    /// Earliest time of the measurement: the time of the query, or of a device that sends by itself the earliest time
+    /// of the first byte.
     pub not_before: Instant,
     /// The numbers in the order of their declaration, then zeros. NaN: not measured.
     pub values: [f64; MOST_VALUES],
@@ -117,7 +117,7 @@ pub struct DeviceSamples {
 
 impl DeviceSamples {
     /// The next sample with the time of the cycle that read the sample.
-    pub fn next(&mut self) -> Option<(Instant, Option<DeviceSample>)> {
+    pub fn take(&mut self) -> Option<(Instant, Option<DeviceSample>)> {
         self.ring.pop().ok()
     }
 
@@ -160,8 +160,8 @@ impl DeviceLink {
         DeviceState::of_words(&self.latest.read())
     }
 
-    /// Requests a reset of the latched fault. The fault ends with the next valid sample. A fault that persists is latched
-    /// again.
+    /// Requests a reset of the latched fault. The fault ends with the next valid sample. A fault that persists is
+    /// latched again.
     pub fn reset_fault(&self) {
         self.reset.request();
     }
