@@ -22,7 +22,7 @@ use mrroc::bench::camera_wire;
 use mrroc::bench::emulated_lines::{EmulatedLines, LiveFaults};
 use mrroc::bench::emulated_time::EmulatedTime;
 use mrroc::bench::plants::{EmulatedCell, Payloads};
-use mrroc::bench::{emulation, interfaces};
+use mrroc::bench::{emulation, interfaces, sensor_lines};
 use mrroc::cell::CellFile;
 use mrroc::scenario::{Scenario, ScenarioProbe, ScenarioRun};
 use mrroc::signals;
@@ -87,7 +87,7 @@ pub(crate) fn emulate(options: &Options) -> anyhow::Result<ExitCode> {
     // Contacts, sensors and faults need one world of all drives. Buses of this world have transmission times.
     let cell = &file.cell;
     let faulty = scenario.is_some() || options.live;
-    let sensors = !(cell.force_sensor.is_empty() && cell.ultrasonic.is_empty() && cell.camera.is_empty());
+    let sensors = cell.has_sensor_lines() || !(cell.force_sensor.is_empty() && cell.camera.is_empty());
     let together = faulty || sensors || cell.scene.is_some();
     let emulated = EmulatedCell::of(&file);
     let mut payloads = Payloads::of(&emulated, clock::now());
@@ -138,9 +138,8 @@ pub(crate) fn emulate(options: &Options) -> anyhow::Result<ExitCode> {
     }
     let (mut sensors, _) = emulated.add_sensors(&mut lines.world, &of_world);
     sensors.extend(emulated.add_matrices(&mut lines.world));
-    let of_force = file.cell.serial_sensors().map(|sensor| &file.cell.force_sensor[sensor].name);
-    let names_of_sensors = of_force.chain(file.cell.ultrasonic.iter().map(|matrix| &matrix.name));
-    for (name, line) in names_of_sensors.zip(sensors) {
+    sensors.extend(emulated.add_devices(&mut lines.world));
+    for (name, line) in sensor_lines(cell).map(|sensor| sensor.name).zip(sensors) {
         let Some(directory) = &options.serial else {
             bail!("--serial DIR is missing: it is where the tty of {name} is to be linked");
         };

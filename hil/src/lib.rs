@@ -6,7 +6,7 @@
 //! device. A [scene] contains the bodies and surfaces around the robots. Four devices are attached to a bus: the axis
 //! controller [`Epos4`], the input and output module [`DigitalIo`], the sensor [`CanForceSensor`], and the adapter
 //! [`SlcanDevice`]. The adapter connects a host without a CAN card to a bus. The sensors at a line are
-//! [`SerialForceSensor`] and [`UltrasonicMatrix`]. A [`Camera`] is on neither: it gives the bytes of a network connection. Read [`Device`] and [`World`] first.
+//! [`SerialForceSensor`], [`UltrasonicMatrix`], and those of other crates ([`LineEmulator`]). A [`Camera`] is on neither: it gives the bytes of a network connection. Read [`Device`] and [`World`] first.
 
 mod amplifier;
 pub mod axis_controller;
@@ -14,6 +14,7 @@ pub mod bus;
 pub mod camera;
 pub mod cia401;
 mod device;
+mod emulator;
 pub mod epos4;
 pub mod epos_serial;
 pub mod force_sensor;
@@ -38,6 +39,7 @@ pub use cia401::{
     DigitalIo, DigitalIoConfig, DigitalIoError, InputEdge, InputProbe, LightGate, OutputProbe, OutputState,
 };
 pub use device::{Device, DeviceFault, LineDevice};
+pub use emulator::{Answer, EmulatedOnLine, LineEmulator, Surroundings};
 pub use epos_serial::{EposSerial, EposSerialConfig};
 pub use epos4::{DriveContact, Epos4, Epos4Config, HomingDeviation};
 pub use force_sensor::{

@@ -77,6 +77,7 @@ use nalgebra::{Isometry3, Vector3};
 
 use crate::{InputProbe, Mechanism};
 use arm::Arm;
+pub use arm::FlangeProbe;
 use beam::Beams;
 pub use beam::{BeamConfig, BeamEdge, BeamProbe, SHORTEST_RESPONSE};
 use body::{Body, CORNERS};

@@ -13,7 +13,7 @@ use serde::Serialize;
 use serial::ati;
 
 use crate::bench::{emulation, traffic::further};
-use crate::cell::{CellFile, ForceSensor, Path, Protocol, Ultrasonic};
+use crate::cell::{CellFile, Device, ForceSensor, Path, Protocol, Ultrasonic};
 use crate::setup;
 
 /// Budget of one bus.
@@ -39,7 +39,7 @@ pub struct BusBudget {
     pub stale_after_ms: Option<u64>,
 }
 
-/// The line of a force sensor or of an ultrasonic matrix.
+/// The line of a force sensor, of an ultrasonic matrix, or of a device of another crate.
 #[derive(Debug, Serialize)]
 pub struct SensorBudget {
     /// Kind of the sensor.
@@ -50,6 +50,12 @@ pub struct SensorBudget {
     pub line: String,
     /// Baud rate, bit/s.
     pub baud: u32,
+    /// Kind of a device of another crate.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub kind: Option<&'static str>,
+    /// Greatest rate of a device of another crate, samples per second.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub samples_per_s: Option<f64>,
     /// Duration of a scan of an ultrasonic matrix, ms.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub scan_ms: Option<f64>,
@@ -100,7 +106,8 @@ pub fn check(file: &CellFile) -> anyhow::Result<Vec<BusBudget>> {
     let sensors = file.cell.serial_sensors().map(|sensor| &file.cell.force_sensor[sensor]);
     let sensors = sensors.map(|sensor| Ok(of_sensor(file.cell.period(), sensor)));
     let matrices = file.cell.ultrasonic.iter().map(|matrix| Ok(of_matrix(file.cell.period(), matrix)));
-    buses.chain(lines).chain(sensors).chain(matrices).collect()
+    let devices = file.cell.device.iter().map(|device| Ok(of_device(file.cell.period(), device)));
+    buses.chain(lines).chain(sensors).chain(matrices).chain(devices).collect()
 }
 
 /// Longest time from the queueing of an event-driven message to its last bit on bus `index`, with the frames of further
@@ -246,6 +253,8 @@ fn of_sensor(period: Duration, sensor: &ForceSensor) -> BusBudget {
             robot: sensor.robot.clone(),
             line: sensor.tty().to_owned(),
             baud: settings.baud,
+            kind: None,
+            samples_per_s: None,
             scan_ms: None,
         }),
         stale_after_ms: None,
@@ -279,7 +288,42 @@ fn of_matrix(period: Duration, matrix: &Ultrasonic) -> BusBudget {
             robot: matrix.robot.clone(),
             line: matrix.line.clone(),
             baud: matrix.baud,
+            kind: None,
+            samples_per_s: None,
             scan_ms: Some(config.scan_time().as_secs_f64() * 1e3),
+        }),
+        stale_after_ms: None,
+    }
+}
+
+/// The line of a device of another crate carries one query and one answer per sample, or one answer.
+fn of_device(period: Duration, device: &Device) -> BusBudget {
+    let line = device.own.line();
+    let each = line.sample_time(period);
+    let message = |what, bytes: usize| MessageBudget {
+        what,
+        cob_id: None,
+        bytes: bytes.try_into().unwrap_or(u8::MAX),
+        period_us: each.as_micros(),
+        response_us: None,
+    };
+    let share = 100.0 * line.settings.line_time(line.answer).as_secs_f64() / each.as_secs_f64();
+    let query = (!line.is_streamed()).then(|| message("query", line.query));
+    BusBudget {
+        name: device.keys.name.clone(),
+        load_percent: share,
+        worst_case_percent: share,
+        messages: query.into_iter().chain([message("answer", line.answer)]).collect(),
+        bits_per_second: f64::from(line.settings.baud),
+        serial: None,
+        sensor: Some(SensorBudget {
+            what: "device",
+            robot: device.keys.robot.clone().unwrap_or_else(|| "the cell".to_owned()),
+            line: device.keys.line.clone(),
+            baud: line.settings.baud,
+            kind: Some(device.own.kind()),
+            samples_per_s: Some(1.0 / each.as_secs_f64()),
+            scan_ms: None,
         }),
         stale_after_ms: None,
     }

@@ -122,7 +122,7 @@ fn assemble(file: &CellFile, program: &Program, rehearsed: &Rehearsed) -> anyhow
         &Arc::new(file.clone()),
         program,
         links,
-        (devices.io, sensors, devices.matrices, setup::rehearsed_cameras(file)),
+        (devices.io, sensors, devices.matrices, devices.own, setup::rehearsed_cameras(file)),
         &servo,
         rehearsed,
     );
@@ -197,12 +197,18 @@ impl fmt::Display for CheckReport {
 impl CheckReport {
     fn write_bus(&self, f: &mut fmt::Formatter<'_>, bus: &BusBudget) -> fmt::Result {
         let (load, worst) = (bus.load_percent, bus.worst_case_percent);
-        if let Some(SensorBudget { what, robot, line, baud, scan_ms }) = &bus.sensor {
+        if let Some(SensorBudget { what, robot, line, baud, kind, samples_per_s, scan_ms }) = &bus.sensor {
             let line = printable(line);
             write!(f, "\n{what} {} of {robot}: {line} at {baud} bit/s, ", bus.name)?;
-            match scan_ms {
-                Some(scan) => writeln!(f, "a scan takes {scan:.0} ms")?,
-                None => writeln!(f, "the answer has come after {worst:.1} % of {} µs at the worst", self.period_us)?,
+            match (scan_ms, kind) {
+                (_, Some(kind)) => {
+                    let rate = samples_per_s.unwrap_or_default();
+                    writeln!(f, "kind {kind}, {rate:.1} samples per second at most")?;
+                }
+                (Some(scan), None) => writeln!(f, "a scan takes {scan:.0} ms")?,
+                (None, None) => {
+                    writeln!(f, "the answer has come after {worst:.1} % of {} µs at the worst", self.period_us)?;
+                }
             }
             return write_messages(f, &bus.messages);
         }

@@ -2,6 +2,7 @@
 
 use anyhow::bail;
 
+use crate::devices::{self, OwnDevice};
 use crate::robots::{OwnRobot, register};
 use crate::tasks::{CarriedTask, Cell, Outcome, Program};
 
@@ -41,6 +42,17 @@ impl Extension {
     #[must_use]
     pub fn robot<T: OwnRobot>(self) -> Self {
         register::<T>();
+        self
+    }
+
+    /// Makes a kind of device known to every command: see [`OwnDevice`].
+    ///
+    /// # Panics
+    ///
+    /// If another kind has the name, or if the kind has a key that every device has.
+    #[must_use]
+    pub fn device<T: OwnDevice>(self) -> Self {
+        devices::register::<T>();
         self
     }
 

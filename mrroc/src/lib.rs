@@ -35,6 +35,7 @@ pub mod cell;
 pub mod charts;
 pub mod check;
 mod demand;
+pub mod devices;
 #[cfg(feature = "command-line")]
 mod extension;
 mod frame_order;
@@ -128,7 +129,8 @@ pub mod prelude {
     pub use crate::motions::Motions;
     pub use crate::report::{AxisReport, Deviation, FaultReport, RobotReport, RunOutcome, RunReport};
     pub use crate::tasks::{
-        Camera, Cell, ForceSensor, GateTrack, InputLine, Outcome, OutputLine, Robot, TaskError, Team, Ultrasonic,
+        Camera, Cell, Device, DeviceReading, ForceSensor, GateTrack, InputLine, Outcome, OutputLine, Robot, TaskError,
+        Team, Ultrasonic,
     };
 }
 

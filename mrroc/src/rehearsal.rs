@@ -257,6 +257,7 @@ fn run(
     let dt = servo.period().as_secs_f64();
     let (mut rehearsed_sensors, sensor_links) = setup::rehearsed_sensors(file);
     let (mut rehearsed_matrices, matrices) = setup::rehearsed_matrices(file);
+    let (mut rehearsed_devices, own) = setup::rehearsed_devices(file);
     let sensors = setup::force_sensors(file, &sensor_links, &links);
     setup::install_rehearsed_laws(file, &mut servo)?;
     let subcontrollers = setup::subcontrollers(file, links);
@@ -266,6 +267,7 @@ fn run(
         io,
         sensors: sensors.clone(),
         matrices,
+        own,
         cameras: setup::rehearsed_cameras(file),
         speed: servo.speed_override(),
         figures: Figures::default(),
@@ -285,6 +287,7 @@ fn run(
             }
             nodes.iter_mut().for_each(|node| node.advance(now));
             rehearsed_matrices.iter_mut().for_each(|matrix| matrix.advance(now));
+            rehearsed_devices.iter_mut().for_each(|device| device.advance(now));
             for (rehearsed, sensor) in rehearsed_sensors.iter_mut().zip(&sensors) {
                 // A robot that is not homed has no known orientation.
                 rehearsed.advance(now, sensor.load(now).unwrap_or_default().components());

@@ -15,6 +15,7 @@ use drive::bus::CanBus;
 use drive::camera::CameraLink;
 use drive::cia401::{IoLink, RehearsedIo};
 use drive::cia402::{AxisConfig, CyclicMode};
+use drive::device::{DeviceLink, DeviceSamples, RehearsedDevice};
 use drive::ultrasonic::{RehearsedUltrasonic, UltrasonicLink, UltrasonicMatrix};
 use drive::wrench::{RehearsedWrench, SerialWrenchSensor, WrenchLink};
 use serial::Line;
@@ -67,8 +68,8 @@ pub fn controller_configs(file: &CellFile, bundle: usize) -> Vec<axis_controller
 
 /// The devices of a cell on their ports and lines.
 pub struct Devices {
-    /// One drive group per bus, per bundle of lines, per force sensor on a line and per ultrasonic matrix, in the order of
-    /// [`Cell::groups`](crate::cell::Cell::groups).
+    /// One drive group per bus, per bundle of lines, per force sensor on a line, per ultrasonic matrix and per device
+    /// of another crate, in the order of [`Cell::groups`](crate::cell::Cell::groups).
     pub groups: Vec<Box<dyn DriveGroup>>,
     /// One link per I/O node, in the order of [`Cell::io`](crate::cell::Cell::io). Inputs are valid from the end of
     /// bring-up until the groups are dropped.
@@ -78,11 +79,15 @@ pub struct Devices {
     pub sensors: Vec<WrenchLink>,
     /// One link per ultrasonic matrix, in the order of [`Cell::ultrasonic`](crate::cell::Cell::ultrasonic).
     pub matrices: Vec<UltrasonicLink>,
+    /// One link per device of another crate, in the order of [`Cell::device`](crate::cell::Cell::device).
+    pub own: Vec<DeviceLink>,
+    /// All samples of these devices, for the files of a run.
+    pub samples: Vec<DeviceSamples>,
 }
 
-/// The drive groups, I/O nodes and sensors of a cell, on the given ports and lines. `sensor_lines`: the lines of the force
-/// sensors, then of the ultrasonic matrices. The drive of axis `with_torque`, given as robot and axis number, takes a
-/// torque in addition to the position.
+/// The drive groups, I/O nodes and sensors of a cell, on the given ports and lines. `sensor_lines`: the lines of the
+/// force sensors, then of the ultrasonic matrices, then of the devices of other crates. The drive of axis
+/// `with_torque`, given as robot and axis number, takes a torque in addition to the position.
 pub fn devices(
     file: &CellFile,
     ports: Vec<Box<dyn Port>>,
@@ -125,15 +130,24 @@ pub fn devices(
         groups.push(Box::new(driver));
         sensors.push((index, link));
     }
-    for ((index, matrix), line) in file.cell.ultrasonic.iter().enumerate().zip(sensor_lines) {
+    for ((index, matrix), line) in file.cell.ultrasonic.iter().enumerate().zip(sensor_lines.by_ref()) {
         let driver = UltrasonicMatrix::new(line, matrix.config(file.cell.period()));
         let (driver, link) = driver.map_err(|error| file.refuse(&Path::to("ultrasonic").then(index), error))?;
         groups.push(Box::new(driver));
         matrices.push(link);
     }
+    let (mut own, mut samples) = (Vec::new(), Vec::new());
+    for ((index, device), line) in file.cell.device.iter().enumerate().zip(sensor_lines) {
+        let opened = device.own.open(line, device.config(file.cell.period()));
+        let (group, link, of_device) = opened.map_err(|error| file.refuse(&Path::to("device").then(index), error))?;
+        groups.push(group);
+        own.push(link);
+        samples.push(of_device);
+    }
     sensors.sort_by_key(|(sensor, _)| *sensor);
     let sensors = sensors.into_iter().map(|(_, link)| link).collect();
-    Ok(Devices { groups, io: links.into_iter().map(|(_, link)| link).collect(), sensors, matrices })
+    let io = links.into_iter().map(|(_, link)| link).collect();
+    Ok(Devices { groups, io, sensors, matrices, own, samples })
 }
 
 /// The I/O nodes of a rehearsal whose emulated devices are switched on at [`Instant::ZERO`], and their links in the
@@ -164,8 +178,14 @@ pub fn rehearsed_matrices(file: &CellFile) -> (Vec<RehearsedUltrasonic>, Vec<Ult
     file.cell.ultrasonic.iter().map(matrix).unzip()
 }
 
-/// The links to the cameras of a rehearsal, in the order of [`Cell::camera`](crate::cell::Cell::camera). The cameras give no
-/// pictures.
+/// The devices of other crates of a rehearsal, and their links in the order of
+/// [`Cell::device`](crate::cell::Cell::device).
+pub fn rehearsed_devices(file: &CellFile) -> (Vec<RehearsedDevice>, Vec<DeviceLink>) {
+    file.cell.device.iter().map(|device| device.own.rehearsed(file.cell.period())).unzip()
+}
+
+/// The links to the cameras of a rehearsal, in the order of [`Cell::camera`](crate::cell::Cell::camera). The cameras
+/// give no pictures.
 pub fn rehearsed_cameras(file: &CellFile) -> Vec<CameraLink> {
     file.cell.camera.iter().map(|_| CameraLink::rehearsed()).collect()
 }

@@ -1,17 +1,20 @@
 //! The files a run writes: frames as a candump log, axes and steps as CSV.
 
+use std::collections::VecDeque;
 use std::fs::File;
 use std::io::{self, Write};
 
 use anyhow::Context;
-use can::{Traced, candump};
+use can::{Instant, Traced, candump};
 use controller::ecp::{StepRecord, StepRecords};
 use drive::AxisCommand;
+use drive::device::{DeviceSample, DeviceValue, count_of, names_of};
 use servo::Record;
 
+use crate::bench::interfaces::Interface;
+use crate::cell::{CellFile, Device};
 use crate::frame_order::FrameOrder;
 use crate::row_file::{FileName, IncompleteFile, RowFile};
-use crate::{bench::interfaces::Interface, cell::CellFile};
 
 /// A candump log of every frame that passed the ports of a run, in the order of time.
 pub(crate) struct FrameLog {
@@ -66,7 +69,16 @@ pub(crate) struct AxisLog {
     names: Vec<Vec<String>>,
     /// Whether each robot has a force law. The file has a column of displacements if one of them has.
     laws: Vec<bool>,
+    devices: Vec<DeviceColumns>,
     rows: RowFile,
+}
+
+/// The columns of a device of another crate: the numbers of its last sample, empty where not measured.
+struct DeviceColumns {
+    count: usize,
+    /// Samples after the last row, in the order of their times.
+    coming: VecDeque<(Instant, Option<DeviceSample>)>,
+    last: Option<DeviceSample>,
 }
 
 impl AxisLog {
@@ -75,15 +87,33 @@ impl AxisLog {
         let displacement = if laws.contains(&true) { ",displacement_rad" } else { "" };
         let head = format!(
             "cycle,time_s,axis,phase,command,commanded_rad,measured_rad,counts,\
-             velocity_rad_per_s,torque_nm,homing,dt_s{displacement}\n"
+             velocity_rad_per_s,torque_nm,homing,dt_s{displacement}{}\n",
+            file.cell.device.iter().map(head_of).collect::<String>()
         );
+        let columns = |device: &Device| DeviceColumns {
+            count: count_of(device.own.values()),
+            coming: VecDeque::new(),
+            last: None,
+        };
+        let devices = file.cell.device.iter().map(columns).collect();
         let robots = file.cell.robot.iter().enumerate();
         let names =
             robots.map(|(robot, value)| (0..value.axis.len()).map(|axis| file.axis_name(robot, axis)).collect());
-        Ok(Self { names: names.collect(), laws, rows: RowFile::new(name, sink, &head)? })
+        Ok(Self { names: names.collect(), laws, devices, rows: RowFile::new(name, sink, &head)? })
+    }
+
+    /// Takes a sample of device `device`; `None`: its last sample is not valid any more.
+    pub(crate) fn sample(&mut self, device: usize, at: Instant, sample: Option<DeviceSample>) {
+        self.devices[device].coming.push_back((at, sample));
     }
 
     pub(crate) fn write(&mut self, record: &Record) {
+        for columns in &mut self.devices {
+            while columns.coming.front().is_some_and(|(at, _)| *at <= record.at) {
+                columns.last = columns.coming.pop_front().and_then(|(_, sample)| sample);
+            }
+        }
+        let devices = &self.devices;
         let names = &self.names[usize::from(record.effector)];
         let (law, any_law) = (self.laws[usize::from(record.effector)], self.laws.contains(&true));
         for (axis, name) in record.axis.iter().zip(names) {
@@ -104,10 +134,11 @@ impl AxisLog {
                     record.dt.as_secs_f64(),
                 )?;
                 match law {
-                    true => write!(row, ",{}", axis.displacement),
-                    false if any_law => write!(row, ","),
-                    false => Ok(()),
+                    true => write!(row, ",{}", axis.displacement)?,
+                    false if any_law => write!(row, ",")?,
+                    false => {}
                 }
+                devices.iter().try_for_each(|columns| columns.write(row))
             });
         }
     }
@@ -118,6 +149,33 @@ impl AxisLog {
 
     pub(crate) fn finish(self) -> Option<IncompleteFile> {
         self.rows.finish(0)
+    }
+}
+
+/// The heads of the columns of a device: `,range.distance_m`.
+fn head_of(device: &Device) -> String {
+    let column = |(name, value): (String, &DeviceValue)| match value.unit {
+        "" => format!(",{}.{name}", device.keys.name),
+        unit => format!(",{}.{name}_{}", device.keys.name, word_of_unit(unit)),
+    };
+    names_of(device.own.values()).map(column).collect()
+}
+
+/// A unit in the head of a column: `m/s²` is `m_per_s2`.
+fn word_of_unit(unit: &str) -> String {
+    let unit = unit.replace('/', "_per_").replace('²', "2").replace('°', "deg");
+    unit.chars().filter(|c| c.is_alphanumeric() || *c == '_').collect()
+}
+
+impl DeviceColumns {
+    fn write(&self, row: &mut Vec<u8>) -> io::Result<()> {
+        for number in 0..self.count {
+            match self.last.map(|sample| sample.values[number]).filter(|number| !number.is_nan()) {
+                Some(number) => write!(row, ",{number}")?,
+                None => write!(row, ",")?,
+            }
+        }
+        Ok(())
     }
 }
 

@@ -35,7 +35,7 @@ def gate_part():
 
 def format_part():
     outside = ["tests/peers/rust/Cargo.toml", "tests/outside/Cargo.toml", "tests/sanitized/Cargo.toml",
-               "examples/five-bar/Cargo.toml"]
+               "examples/five-bar/Cargo.toml", "examples/own-sensor/Cargo.toml"]
     return Part(
         "format", "build", Command("cargo", "fmt", "--all", "--check"),
         *[Command("cargo", "fmt", "--manifest-path", manifest, "--check") for manifest in outside],

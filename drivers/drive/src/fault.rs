@@ -10,6 +10,7 @@ use thiserror::Error;
 
 use crate::axis_controller::{AxisControllerError, AxisControllerFault};
 use crate::bus::Sign;
+use crate::device::DeviceError;
 use crate::ultrasonic::UltrasonicError;
 use crate::wrench::WrenchError;
 
@@ -185,6 +186,9 @@ pub enum BringUpError {
     /// An ultrasonic matrix on a serial line of its own could not be brought up.
     #[error("ultrasonic matrix: {error}")]
     Ultrasonic { error: UltrasonicError },
+    /// A device of another crate could not be brought up.
+    #[error("device: {error}")]
+    Device { error: DeviceError },
     #[error("another controller is at work: it sent {sign}; end it before this one is started")]
     OtherController { sign: Sign },
     #[error("bus: {0}")]
@@ -215,6 +219,7 @@ impl BringUpError {
             Self::AxisController { .. }
             | Self::WrenchLine { .. }
             | Self::Ultrasonic { .. }
+            | Self::Device { .. }
             | Self::OtherController { .. }
             | Self::Port(_) => None,
         }
@@ -243,6 +248,7 @@ impl BringUpError {
             | Self::AxisController { .. }
             | Self::WrenchLine { .. }
             | Self::Ultrasonic { .. }
+            | Self::Device { .. }
             | Self::WrenchNode { .. }
             | Self::OtherController { .. }
             | Self::Port(_) => None,

@@ -11,6 +11,7 @@ pub mod camera;
 pub mod cia401;
 pub mod cia402;
 mod command;
+pub mod device;
 mod fault;
 mod group;
 pub mod latest;

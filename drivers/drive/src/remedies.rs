@@ -7,6 +7,7 @@ use can::PortError;
 use crate::Fault;
 use crate::axis_controller::AxisControllerFault;
 use crate::cia401::IoFault;
+use crate::device::DeviceFault;
 use crate::ultrasonic::UltrasonicFault;
 use crate::wrench::WrenchFault;
 
@@ -149,6 +150,16 @@ impl WrenchFault {
 }
 
 impl UltrasonicFault {
+    /// What to check next. `None` if the message says it.
+    pub fn remedy(&self) -> Option<&'static str> {
+        match self {
+            Self::NotStarted | Self::Ended => Some("see why its line was not opened or ended"),
+            Self::Silent { .. } | Self::Garbage { .. } | Self::Refused { .. } | Self::Line(_) => None,
+        }
+    }
+}
+
+impl DeviceFault {
     /// What to check next. `None` if the message says it.
     pub fn remedy(&self) -> Option<&'static str> {
         match self {

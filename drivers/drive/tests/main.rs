@@ -3,6 +3,7 @@
 
 mod axis_controller;
 mod board;
+mod devices;
 mod no_allocation;
 mod robustness;
 mod scripted;

@@ -7,7 +7,7 @@ use nalgebra::{Isometry3, Matrix3, Rotation3, UnitQuaternion, Vector3};
 use super::contact::Sphere;
 use super::motion::{Motion, Moving, Place, Wrench};
 use super::probe::{ForceSensor, History, Touch};
-use super::{SensorConfig, SensorProbe};
+use super::{RobotId, Scene, SensorConfig, SensorProbe};
 use crate::plant::{Kinematics, Mechanism, Shafts};
 
 /// A robot. Its flange is not computed in the steps in which no force can act on the tool and nothing needs the flange.
@@ -251,6 +251,30 @@ impl Arm {
 fn place(flange: &Moving) -> Place {
     let turn = Rotation3::from_matrix_unchecked(flange.axes);
     Place { origin: flange.origin, turn: UnitQuaternion::from_rotation_matrix(&turn) }
+}
+
+/// The place of the flange of one robot, for emulated devices. Clones read the same robot.
+#[derive(Clone, Debug)]
+pub struct FlangeProbe(Seat);
+
+impl FlangeProbe {
+    /// Place of the flange in the world, of the last positions of the motors.
+    pub fn pose(&self) -> Isometry3<f64> {
+        let place = place(&self.0.flange(&self.0.mechanism.shafts()));
+        Isometry3::from_parts(place.origin.into(), place.turn)
+    }
+
+    /// The robot.
+    pub fn mechanism(&self) -> &Mechanism {
+        &self.0.mechanism
+    }
+}
+
+impl Scene {
+    /// The place of the flange of a robot of this scene, for emulated devices.
+    pub fn watch_flange(&self, robot: RobotId) -> FlangeProbe {
+        FlangeProbe(self.arms[robot.0].seat.clone())
+    }
 }
 
 impl Drop for Arm {

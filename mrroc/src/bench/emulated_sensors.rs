@@ -107,14 +107,14 @@ impl EmulatedCell<'_> {
 }
 
 /// A sensor whose cable breaks at a given time.
-pub(super) struct Unplugged<D> {
+pub(crate) struct Unplugged<D> {
     device: D,
     from: Instant,
 }
 
 impl<D> Unplugged<D> {
     /// A sensor whose cable breaks `at` seconds after power-on.
-    pub(super) fn new(device: D, at: f64) -> Self {
+    pub(crate) fn new(device: D, at: f64) -> Self {
         Self { device, from: Instant::ZERO + Duration::from_secs_f64(at) }
     }
 }

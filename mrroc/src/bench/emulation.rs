@@ -70,7 +70,8 @@ pub struct HostEnds {
     pub listeners: Vec<VirtualPort>,
     /// The lines of each bundle, in the order of [`Cell::axes_on`](crate::cell::Cell::axes_on).
     pub lines: Vec<Vec<VirtualLine>>,
-    /// The line of each force sensor on a serial line, then of each ultrasonic matrix.
+    /// The line of each force sensor on a serial line, then of each ultrasonic matrix, then of each device of another
+    /// crate.
     pub sensors: Vec<VirtualLine>,
 }
 
@@ -98,6 +99,7 @@ impl Emulation {
         let lines = lines.collect();
         let (mut sensors, truth) = emulated.add_sensors(&mut world, &buses);
         sensors.extend(emulated.add_matrices(&mut world));
+        sensors.extend(emulated.add_devices(&mut world));
         let ends = HostEnds { lines, sensors, ports, listeners };
         let emulation = Self {
             world,
@@ -114,8 +116,8 @@ impl Emulation {
         (emulation, ends)
     }
 
-    /// New host's ends in place of the old ones, for a controller that starts again. Force sensors on serial lines and
-    /// ultrasonic matrices get none.
+    /// New host's ends in place of the old ones, for a controller that starts again. Sensors and devices on lines of
+    /// their own get none.
     pub fn reconnect(&mut self, file: &CellFile) -> HostEnds {
         let Self { world, buses, ids, .. } = self;
         let ports = buses.iter().map(|&bus| Box::new(world.replace_port(bus, QUEUE)) as _).collect();

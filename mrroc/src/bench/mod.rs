@@ -9,11 +9,12 @@ pub mod clockwork;
 mod conveyors;
 pub mod drive_ids;
 pub mod emulated_lines;
-mod emulated_sensors;
+pub(crate) mod emulated_sensors;
 pub mod emulated_time;
 pub mod emulation;
 pub mod interfaces;
 mod matrices;
+mod own_devices;
 pub mod plants;
 mod random;
 pub mod scene;
@@ -134,7 +135,8 @@ pub struct Bench {
     pub ports: Vec<Box<dyn Port>>,
     /// The lines of each bundle of the cell.
     pub lines: Vec<Vec<Box<dyn Line>>>,
-    /// The line of each force sensor on a serial line, then of each ultrasonic matrix.
+    /// The line of each force sensor on a serial line, then of each ultrasonic matrix, then of each device of another
+    /// crate.
     pub sensors: Vec<Box<dyn Line>>,
     /// The interface of each port: the cell's, or the one given in its place.
     pub interfaces: Vec<Interface>,
@@ -244,16 +246,20 @@ pub(crate) fn emulated_lines(
     lines.into_iter().zip(&file.cell.serial).map(bundle).collect()
 }
 
-/// A sensor on a serial line of its own.
-struct SensorLine<'a> {
-    what: &'static str,
-    name: &'a str,
-    line: &'a str,
+/// A sensor or a device on a serial line of its own.
+pub struct SensorLine<'a> {
+    /// Kind of the sensor in messages.
+    pub what: &'static str,
+    /// Name of the sensor.
+    pub name: &'a str,
+    /// The tty.
+    pub line: &'a str,
     settings: Settings,
 }
 
-/// The lines of all force sensors on serial lines, then of all ultrasonic matrices.
-fn sensor_lines(cell: &Cell) -> impl Iterator<Item = SensorLine<'_>> {
+/// The lines of all force sensors on serial lines, then of all ultrasonic matrices, then of all devices of other
+/// crates.
+pub fn sensor_lines(cell: &Cell) -> impl Iterator<Item = SensorLine<'_>> {
     let sensors = cell.serial_sensors().map(|sensor| &cell.force_sensor[sensor]).map(|it| SensorLine {
         what: "force sensor",
         name: &it.name,
@@ -266,7 +272,13 @@ fn sensor_lines(cell: &Cell) -> impl Iterator<Item = SensorLine<'_>> {
         line: &it.line,
         settings: it.settings(),
     });
-    sensors.chain(matrices)
+    let devices = cell.device.iter().map(|it| SensorLine {
+        what: "device",
+        name: &it.keys.name,
+        line: &it.keys.line,
+        settings: it.own.line().settings,
+    });
+    sensors.chain(matrices).chain(devices)
 }
 
 /// The host's ends of the emulated lines of sensors: virtual lines in lockstep, ttys in real time.

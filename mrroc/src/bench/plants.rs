@@ -7,11 +7,16 @@ use std::time::Duration;
 use can::Instant;
 use canopen::cia402::HomingMethod;
 use controller::robot::Limits;
-use hil::scene::BeamProbe;
+use hil::scene::{BeamProbe, FlangeProbe};
+use nalgebra::Isometry3;
+
 use hil::{AxisConfig, InputProbe, Mechanism, Mount, OutputProbe, plant::PlantConfig};
 
 use crate::bench::drive_ids::DriveIds;
 use crate::cell::{CellFile, EmulatedPayload, Path};
+
+/// The flange of the mechanism of a robot, and the flange of the cell file in its frame.
+type CarryingFlange = (FlangeProbe, Isometry3<f64>);
 
 /// A cell whose devices are emulated.
 pub struct EmulatedCell<'a> {
@@ -27,6 +32,8 @@ pub struct EmulatedCell<'a> {
     pub(super) beams: Vec<BeamProbe>,
     /// Switches of the touch probes of the scene.
     pub(super) touches: Vec<InputProbe>,
+    /// The flange of each robot that carries a device of another crate.
+    pub(super) flanges: RefCell<Vec<Option<CarryingFlange>>>,
     /// Whether the axis controllers on serial lines had power before, and have their reference.
     pub(super) referenced: Cell<bool>,
     /// The buses and drives added to a world so far.
@@ -51,6 +58,7 @@ impl<'a> EmulatedCell<'a> {
             spindles: terminals(cutters),
             beams,
             touches,
+            flanges: RefCell::new(vec![None; file.cell.robot.len()]),
             referenced: Cell::new(false),
             ids: RefCell::default(),
         }

@@ -17,6 +17,8 @@ pub(super) enum Stream {
     Matrix(usize),
     /// Noise of a force sensor.
     Force(usize),
+    /// Noise of a device of another crate.
+    Device(usize),
 }
 
 impl Stream {
@@ -28,6 +30,7 @@ impl Stream {
             Self::Conveyor(number) => 700 + number,
             Self::Matrix(number) => 800 + number,
             Self::Force(number) => 900 + number,
+            Self::Device(number) => 950 + number,
         };
         file.cell.seed.wrapping_mul(1000).wrapping_add(number as u64)
     }
@@ -44,7 +47,7 @@ mod tests {
     fn no_two_devices_share_a_stream() {
         let file = CellFile::read(concat!(env!("CARGO_MANIFEST_DIR"), "/../cells/irb6.toml")).unwrap();
         let axes = (0..16).flat_map(|robot| (0..16).map(move |number| Axis { robot, number }));
-        let others = (0..16).flat_map(|n| [Camera(n), Traffic(n), Conveyor(n), Matrix(n), Force(n)]);
+        let others = (0..16).flat_map(|n| [Camera(n), Traffic(n), Conveyor(n), Matrix(n), Force(n), Device(n)]);
         let streams: Vec<_> = axes.chain(others).collect();
         let seeds: HashSet<u64> = streams.iter().map(|stream| stream.seed(&file)).collect();
         assert_eq!(seeds.len(), streams.len());

@@ -59,7 +59,8 @@ impl EmulatedCell<'_> {
             let tip = around.tips().find(|(name, _)| *name == robot.name).map(|(_, radius)| radius);
             let gripper = around.gripper.iter().position(|gripper| gripper.robot == robot.name);
             let cutter = around.cutter.iter().position(|cutter| cutter.robot == robot.name);
-            if own.is_empty() && tip.is_none() && gripper.is_none() && cutter.is_none() {
+            let carries = cell.device.iter().any(|device| device.keys.robot.as_ref() == Some(&robot.name));
+            if own.is_empty() && tip.is_none() && gripper.is_none() && cutter.is_none() && !carries {
                 continue;
             }
             let Some(mechanism) = self.mechanisms[number].as_ref() else {
@@ -67,6 +68,9 @@ impl EmulatedCell<'_> {
             };
             count += 1;
             let (id, flange) = add_robot(&mut scene, mechanism, robot);
+            if carries {
+                self.flanges.borrow_mut()[number] = Some((scene.watch_flange(id), flange.inverse()));
+            }
             for sensor in own {
                 let given = &cell.force_sensor[sensor];
                 let config = SensorConfig {
@@ -103,7 +107,8 @@ impl EmulatedCell<'_> {
         }
         let bars = bars.into_iter().map(|bar| scene.watch(bar)).collect();
         let moving = !around.bar.is_empty() || !around.conveyor.is_empty();
-        let needed = count > 0 || moving || !cell.ultrasonic.is_empty() || !cell.camera.is_empty();
+        let sees = !(cell.ultrasonic.is_empty() && cell.camera.is_empty() && cell.device.is_empty());
+        let needed = count > 0 || moving || sees;
         let truth = SceneTruth { bars, grips, workpieces };
         EmulatedSurroundings { scene: needed.then_some(scene), sensors, truth }
     }

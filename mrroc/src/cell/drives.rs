@@ -47,13 +47,14 @@ impl Cell {
     }
 
     /// The names of the drive groups: every CAN bus, then every bundle of serial lines, every force sensor on a serial
-    /// line, and every ultrasonic matrix.
+    /// line, every ultrasonic matrix, and every device of another crate.
     pub fn groups(&self) -> impl Iterator<Item = &str> {
         let buses = self.bus.iter().map(|bus| bus.name.as_str());
         let bundles = self.serial.iter().map(|serial| serial.name.as_str());
         let sensors = self.serial_sensors().map(|sensor| self.force_sensor[sensor].name.as_str());
         let matrices = self.ultrasonic.iter().map(|matrix| matrix.name.as_str());
-        buses.chain(bundles).chain(sensors).chain(matrices)
+        let devices = self.device.iter().map(|device| device.keys.name.as_str());
+        buses.chain(bundles).chain(sensors).chain(matrices).chain(devices)
     }
 
     /// The axes of drive group `group` of [`groups`](Self::groups), as pairs of robot and axis number, in their order

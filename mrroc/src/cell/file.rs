@@ -195,6 +195,7 @@ impl CellFile {
         cell.io.clear();
         cell.force_sensor.clear();
         cell.ultrasonic.clear();
+        cell.device.clear();
         cell.scene = None;
         let used = |name: &str| robots.iter().any(|&robot| self.cell.robot[robot].axis.iter().any(|it| it.bus == name));
         cell.bus.retain(|bus| used(&bus.name));

@@ -12,6 +12,7 @@ mod can_force_sensor;
 mod chain;
 mod conveyor;
 mod defaults;
+mod device;
 mod device_configuration;
 mod drives;
 mod emergency_contact;
@@ -22,6 +23,7 @@ mod force_law;
 mod home;
 mod io;
 mod meetings;
+mod parse;
 mod program;
 mod read;
 mod scene;
@@ -51,6 +53,8 @@ pub use chain::{
     Body, ChainSettings, Convention, DenavitHartenberg, DescribedJoint, DescribedRobot, Frame, JointSettings, read_urdf,
 };
 pub use conveyor::{EmulatedConveyor, EmulatedGate, EmulatedObject};
+pub(crate) use device::DEVICE_KEYS;
+pub use device::{Device, DeviceEmulator, DeviceKeys};
 pub(crate) use device_configuration::DeviceConfiguration;
 pub use device_configuration::{Checked, Refused};
 pub use drive::axis_controller::{Control, Protocol};
@@ -65,7 +69,7 @@ pub use meetings::Meeting;
 pub(crate) use program::smooth_pose;
 pub use program::{ProgramError, instruction_path};
 pub use read::LARGEST;
-pub(crate) use read::{element as read_element, from_text};
+pub(crate) use read::{element as read_element, entries as read_entries, from_text};
 pub use scene::{EmulatedBar, EmulatedBlock, EmulatedGripper, EmulatedPlane, EmulatedScene, EmulatedTip, Place};
 pub use servo::regulator::{CascadeConfig, IncrementalConfig, ProportionalConfig};
 pub use servo::thread::{Policy, Realtime, Scheduler, Wait};
@@ -133,6 +137,10 @@ pub struct Cell {
     /// The network cameras.
     #[serde(default)]
     pub camera: Vec<Camera>,
+    /// Devices of kinds that the program adds.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    #[cfg_attr(feature = "schema", schemars(with = "Vec<DeviceKeys>"))]
+    pub device: Vec<Device>,
     /// The surroundings of the emulated robots; empty where absent.
     pub scene: Option<EmulatedScene>,
     /// The robots.
@@ -573,39 +581,6 @@ pub struct LineInstruction {
     /// limit is then slower as a whole, not only where a joint is fast.
     #[serde(default)]
     pub constant_speed: bool,
-}
-
-impl Cell {
-    /// The text of a cell file. Bytes that are not UTF-8 or more than [`LARGEST`] are refused.
-    pub fn text(bytes: &[u8]) -> Result<&str, CellError> {
-        if bytes.len() > LARGEST {
-            let problem = format!("the file has {} bytes, a cell file may have {LARGEST}", bytes.len());
-            return Err(CellError::of_text(1, problem));
-        }
-        str::from_utf8(bytes).map_err(|error| {
-            let end = error.valid_up_to();
-            let problem = format!("the byte {:#04x} is no UTF-8 text: save the file as UTF-8", bytes[end]);
-            CellError::of_text(error::line_at(bytes, end), problem)
-        })
-    }
-
-    /// Reads and checks the text of a cell file that names no robot description.
-    pub fn parse(text: &str) -> Result<Self, CellError> {
-        Self::parse_with(text, &mut |_| Err("is a file, which a text alone does not have".to_owned()))
-    }
-
-    /// Reads and checks the text of a cell file. `files` gives the robot descriptions that it names.
-    pub(crate) fn parse_with(
-        text: &str,
-        files: &mut dyn FnMut(&str) -> Result<String, String>,
-    ) -> Result<Self, CellError> {
-        let document = read::parse(text)?;
-        crate::robots::check_own(text, &document)?;
-        let mut cell: Self = read::read(text, &document)?;
-        chain::resolve(&mut cell, files).map_err(|(path, problem)| CellError::at(text, &path, problem))?;
-        validation::check(&cell).map_err(|(path, problem)| CellError::at(text, &path, problem))?;
-        Ok(cell)
-    }
 }
 
 /// The problem of a number outside its range.

@@ -70,6 +70,12 @@ pub(crate) fn from_text<T: DeserializeOwned>(text: &str) -> Result<T, CellError>
 
 /// Reads the element at `path`, which the document has.
 pub(crate) fn element<T: DeserializeOwned>(text: &str, document: &DeValue<'_>, path: &Path) -> Result<T, CellError> {
+    let (value, refused) = at(document, path);
+    T::deserialize(value).map_err(|refusal| refused(refusal).of(text))
+}
+
+/// The element at `path`, which the document has, and its place in a refusal.
+fn at<'de>(document: &'de DeValue<'de>, path: &'de Path) -> (Value<'de>, impl Fn(ValueError) -> ValueError + use<'de>) {
     let mut value = Value { value: document, offset: 0 };
     for step in &path.0 {
         let inner = match step {
@@ -78,9 +84,23 @@ pub(crate) fn element<T: DeserializeOwned>(text: &str, document: &DeValue<'_>, p
         };
         value = Value::of(inner.expect("the path leads to an element"), value.offset);
     }
-    let refused =
-        |refusal: ValueError| path.0.iter().rev().cloned().fold(refusal.from(value.offset), ValueError::below);
-    T::deserialize(value).map_err(|refusal| refused(refusal).of(text))
+    let offset = value.offset;
+    let refused = move |refusal: ValueError| path.0.iter().rev().cloned().fold(refusal.from(offset), ValueError::below);
+    (value, refused)
+}
+
+/// Reads those entries of the table at `path`, which the document has, whose key is `wanted`.
+pub(crate) fn entries<T: DeserializeOwned>(
+    text: &str,
+    document: &DeValue<'_>,
+    path: &Path,
+    wanted: impl Fn(&str) -> bool,
+) -> Result<T, CellError> {
+    let (value, refused) = at(document, path);
+    let table = value.value.as_table().cloned().unwrap_or_default();
+    let table = DeValue::Table(table.into_iter().filter(|(key, _)| wanted(key.get_ref())).collect());
+    let read = T::deserialize(Value { value: &table, offset: value.offset });
+    read.map_err(|refusal| refused(refusal).of(text))
 }
 
 /// Tables in the table `task` that belong to tasks of the command.

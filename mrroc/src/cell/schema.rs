@@ -5,6 +5,7 @@ use schemars::{Schema, SchemaGenerator, json_schema, schema_for};
 use serde_json::{Value, json};
 
 use super::{Cell, Model};
+use crate::devices::OwnKind;
 
 impl Cell {
     /// The JSON schema of a cell file, with the robots of the program.
@@ -15,8 +16,40 @@ impl Cell {
                 add(&mut schema, model.name(), own.schema());
             }
         }
+        let kinds = OwnKind::all();
+        if !kinds.is_empty() {
+            add_devices(&mut schema, &kinds);
+        }
         schema
     }
+}
+
+/// Adds the kinds of devices: the keys of every device, with those of one kind.
+fn add_devices(schema: &mut Schema, kinds: &[OwnKind]) {
+    let Some(definitions) = schema.get_mut("$defs").and_then(Value::as_object_mut) else {
+        return;
+    };
+    let every = definitions.get("Device").cloned().unwrap_or_default();
+    let mut variants = Vec::new();
+    for kind in kinds {
+        let mut own = kind.schema();
+        if let Some(Value::Object(inner)) = own.remove("$defs") {
+            for (key, definition) in inner {
+                definitions.entry(key).or_insert(definition);
+            }
+        }
+        let mut variant = every.clone();
+        if let Some(properties) = variant.get_mut("properties").and_then(Value::as_object_mut) {
+            properties.insert("kind".to_owned(), json!({ "type": "string", "const": kind.name() }));
+            properties.extend(own.get("properties").and_then(Value::as_object).cloned().unwrap_or_default());
+        }
+        if let Some(required) = variant.get_mut("required").and_then(Value::as_array_mut) {
+            required.extend(own.get("required").and_then(Value::as_array).cloned().unwrap_or_default());
+        }
+        variant["description"] = own.get("description").cloned().unwrap_or_default();
+        variants.push(variant);
+    }
+    definitions.insert("Device".to_owned(), json!({ "description": every["description"], "oneOf": variants }));
 }
 
 /// Adds a model and its numbers.

@@ -9,6 +9,7 @@ use serde::Serialize;
 
 use super::messages::{BusEvent, LineData, RobotCycle, RobotFault};
 use super::reader::Stored;
+use super::samples::DeviceSample;
 
 /// Most differences of the first differing cycle that are listed.
 const MOST: usize = 200;
@@ -40,6 +41,7 @@ pub(super) enum Kind {
     Bus,
     Line,
     Fault,
+    Device,
 }
 
 /// The recorded outputs that were not replayed yet.
@@ -185,6 +187,11 @@ fn shown(kind: Kind, body: &[u8]) -> String {
             let data = LineData::decode(body).unwrap_or_default().data;
             data.iter().map(|byte| format!("{byte:02x}")).collect()
         }
+        Kind::Device => match DeviceSample::decode(body) {
+            Ok(sample) if sample.values.is_empty() => "no valid sample".to_owned(),
+            Ok(sample) => format!("sample {}: {:?}", sample.number, sample.values),
+            Err(_) => "?".to_owned(),
+        },
         Kind::Fault => {
             let fault = RobotFault::decode(body).unwrap_or_default();
             match (fault.axis.as_str(), fault.cause.as_str()) {

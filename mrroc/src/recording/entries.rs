@@ -18,7 +18,7 @@ pub(super) enum Entry {
     Lost(Lost),
     Bus(usize, TraceEntry),
     Line(usize, LineEntry),
-    /// A cycle of a robot, a fault or a timing.
+    /// A cycle of a robot, a fault, a sample of a device or a timing.
     Other,
 }
 
@@ -40,6 +40,8 @@ impl Entry {
             Self::Word(Word::decode(body).map_err(invalid)?)
         } else if channel == layout.lost() {
             Self::Lost(Lost::decode(body).map_err(invalid)?)
+        } else if channel >= layout.device(0) {
+            Self::Other
         } else if channel >= layout.line(0) {
             let entry = LineData::decode(body).map_err(invalid)?.entry(now).ok_or_else(unknown)?;
             Self::Line(usize::from(channel - layout.line(0)), entry)

@@ -10,8 +10,8 @@ use mcap::records::{MessageHeader, Metadata};
 use mcap::write::NoSeek;
 use mcap::{Compression, WriteOptions, Writer};
 
-use super::messages::descriptors;
-use super::schema::PACKAGE;
+use super::schema::{PACKAGE, Schema as _};
+use super::{messages, samples};
 
 /// Name of the metadata of a recording.
 pub(super) const METADATA: &str = "mrroc";
@@ -49,6 +49,8 @@ pub(super) struct Channel {
     pub(super) topic: String,
     /// Name of the message.
     pub(super) message: &'static str,
+    /// What the file says of the channel.
+    pub(super) metadata: BTreeMap<String, String>,
 }
 
 /// What a recording says of itself: texts by name, and the files that the run has read.
@@ -124,10 +126,12 @@ impl McapFile {
                 data: Cow::Borrowed(data),
             })?;
         }
-        let descriptors = descriptors();
+        let (usual, of_samples) = (messages::descriptors(), samples::descriptors());
         for (index, channel) in channels.iter().enumerate() {
-            let schema = writer.add_schema(&format!("{PACKAGE}.{}", channel.message), "protobuf", &descriptors)?;
-            let id = writer.add_channel(schema, &channel.topic, "protobuf", &BTreeMap::new())?;
+            let is_sample = channel.message == samples::DeviceSample::NAME;
+            let descriptors = if is_sample { &of_samples } else { &usual };
+            let schema = writer.add_schema(&format!("{PACKAGE}.{}", channel.message), "protobuf", descriptors)?;
+            let id = writer.add_channel(schema, &channel.topic, "protobuf", &channel.metadata)?;
             debug_assert_eq!(usize::from(id), index + usize::from(FIRST));
         }
         writer.flush()?;
@@ -180,6 +184,16 @@ mod tests {
         ] {
             assert_eq!(utc_text(nanos), text);
         }
+    }
+
+    #[test]
+    fn a_recording_with_an_unknown_kind_of_device_names_kind_and_crate() {
+        let texts = BTreeMap::from([("device range".to_owned(), "acme-range of the crate acme".to_owned())]);
+        let refused = Facts { texts, ..Facts::default() }.check_devices().unwrap_err().to_string();
+        let said = "device range is of kind acme-range of the crate acme, which this program does not know: replay by a \
+                    program with it";
+        assert_eq!(refused, said);
+        assert!(Facts::default().check_devices().is_ok());
     }
 
     /// Profile, metadata, and create time of the attachment of a file without messages.

@@ -68,9 +68,10 @@ impl Flights {
         let axes = cell.robot.iter().map(|robot| robot.axis.len());
         let frames: usize = (0..cell.bus.len()).map(|bus| 2 * cell.frames_per_cycle(bus)).sum();
         let lines: usize = Layout::of(file).lines();
-        // Calls, timing and orders; one message each per robot; frames and telegrams of both directions.
-        let messages = 4 + cell.robot.len() + frames + 3 * lines;
-        let bytes = 4 * CALL + axes.map(|axes| ROBOT + axes * AXIS).sum::<usize>() + (frames + 3 * lines) * FRAME;
+        // Calls, timing and orders; one message each per robot; frames and telegrams of both directions; samples.
+        let others = frames + 3 * lines + cell.device.len();
+        let messages = 4 + cell.robot.len() + others;
+        let bytes = 4 * CALL + axes.map(|axes| ROBOT + axes * AXIS).sum::<usize>() + others * FRAME;
         Self {
             directory: directory.to_owned(),
             cell: cell.name.clone(),

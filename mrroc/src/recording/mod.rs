@@ -26,10 +26,12 @@ mod part_tests;
 mod reader;
 mod replay;
 mod replaying;
+mod samples;
 mod schema;
 mod sources;
 mod window;
 
+use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
@@ -44,7 +46,8 @@ use serial::LineEntry;
 use servo::{JournalEvent, JournalReader, Record};
 
 use crate::bench::BenchKind;
-use crate::cell::CellFile;
+use crate::cell::{CellFile, printable};
+use crate::devices::OwnKind;
 use crate::frame_order::FrameOrder;
 use crate::outputs::Outputs;
 use crate::row_file::{FileName, IncompleteFile, RowFile};
@@ -52,6 +55,7 @@ use crate::run::RunOptions;
 use crate::streams;
 use file::McapFile;
 use messages::{BusEvent, Call, LineData, Lost, RobotCycle, RobotFault, RobotOrder, Timing, Word};
+use samples::DeviceSample;
 use window::Window;
 
 pub use difference::Difference;
@@ -201,6 +205,12 @@ impl Recorder {
     /// Takes a result of line `line`.
     pub(crate) fn line(&mut self, line: usize, entry: &LineEntry) {
         self.message(self.layout.line(line), entry.now, &LineData::of(entry));
+    }
+
+    /// Takes a sample of device `device`; `None`: its last sample is not valid any more.
+    pub(crate) fn sample(&mut self, device: usize, at: Instant, sample: Option<&drive::device::DeviceSample>) {
+        let message = DeviceSample::of(sample, self.layout.devices()[device]);
+        self.message(self.layout.device(device), at, &message);
     }
 
     /// Completes a drain: writes what is due to the disk. `lost`: entries of all queues that found no room.
@@ -365,7 +375,22 @@ pub(crate) fn flight_directory(file: &CellFile, options: &RunOptions) -> anyhow:
     Ok(directory)
 }
 
+/// Begin of the keys of the facts that name kind and crate of each device of another crate.
+const DEVICE: &str = "device ";
+
 impl Facts {
+    /// Refuses a recording with a kind of device that this program does not know.
+    fn check_devices(&self) -> anyhow::Result<()> {
+        for (name, kind) in self.texts.iter().filter_map(|(key, kind)| Some((key.strip_prefix(DEVICE)?, kind))) {
+            let known = OwnKind::named(kind.split(' ').next().unwrap_or_default());
+            if known.is_err() {
+                let (name, kind) = (printable(name), printable(kind));
+                bail!("device {name} is of kind {kind}, which this program does not know: replay by a program with it");
+            }
+        }
+        Ok(())
+    }
+
     /// The version, the bench, the UTC of the zero of the run's times, and the files that a run reads.
     pub(crate) fn of_run(file: &CellFile, bench: BenchKind, utc_of_zero: Option<u64>) -> anyhow::Result<Self> {
         let directory = file.path.parent().unwrap_or(Path::new(""));
@@ -376,7 +401,11 @@ impl Facts {
             files.push((name(path), bytes.to_vec()));
         }
         let texts = [("version", env!("CARGO_PKG_VERSION")), ("bench", bench.name()), ("cell", &file.cell.name)];
-        let texts = texts.map(|(key, text)| (key.to_owned(), text.to_owned())).into();
+        let mut texts: BTreeMap<_, _> = texts.map(|(key, text)| (key.to_owned(), text.to_owned())).into();
+        texts.extend(file.cell.device.iter().map(|device| {
+            let kind = format!("{} of the crate {}", device.own.kind(), device.own.of_crate());
+            (format!("{DEVICE}{}", device.keys.name), kind)
+        }));
         Ok(Self { texts, utc_of_zero, files })
     }
 }

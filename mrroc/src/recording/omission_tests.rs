@@ -280,7 +280,9 @@ fn mark_again(bytes: &[u8], path: &Path) {
         match record.unwrap() {
             Record::Metadata(metadata) => facts.texts = metadata.metadata,
             Record::Attachment { header, data, .. } => facts.files.push((header.name, data.into_owned())),
-            Record::Channel(channel) => channels.push(file::Channel { topic: channel.topic, message: "Call" }),
+            Record::Channel(channel) => {
+                channels.push(file::Channel { topic: channel.topic, message: "Call", metadata: channel.metadata });
+            }
             Record::Message { header, data } => messages.push((header, data.into_owned())),
             Record::DataEnd(_) => break,
             _ => {}

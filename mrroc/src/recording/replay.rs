@@ -118,6 +118,7 @@ pub fn replay(path: &Path, options: &ReplayOptions) -> anyhow::Result<Replay> {
             path.display()
         );
     }
+    reader.facts().check_devices().with_context(name)?;
     let directory = tempfile::tempdir().context("no directory for the recorded cell file")?;
     let file = match (&options.cell, reader.missing()) {
         (Some(cell), _) => CellFile::read(cell)?,

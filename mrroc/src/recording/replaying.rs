@@ -12,6 +12,7 @@ use anyhow::{Context, bail};
 use can::candump::Direction;
 use can::{Instant, Port, ReplayFeed, ReplayPort, TraceEntry, TraceEvent, TraceReader, Tracer};
 use drive::Word;
+use drive::device::DeviceSamples;
 use prost::Message;
 use serial::{Line, LineEntry, LineEvent, LineFeed, LineTraceReader, LineTracer, ReplayLine};
 use servo::{EffectorLink, JournalEvent, JournalReader, Order, Record, Servo, SpeedOverride};
@@ -21,6 +22,7 @@ use super::entries::{Entry, entries};
 use super::messages::{BusEvent, Call, LineData, RobotCycle, RobotFault, RobotOrder, Word as WordMessage};
 use super::reader::{End, Reader, Stored};
 use super::replay::{Place, Replay};
+use super::samples::DeviceSample;
 use super::sources::{Layout, words};
 use crate::cell::CellFile;
 use crate::{run, setup};
@@ -57,6 +59,8 @@ pub(super) struct Replaying {
     lines: Vec<Traced<LineFeed, LineTraceReader>>,
     layout: Layout,
     file: CellFile,
+    /// The samples of the devices of other crates.
+    samples: Vec<DeviceSamples>,
     /// Calls that were not replayed yet.
     steps: VecDeque<Step>,
     /// Whether the last message was not of the journal, so that a message of the journal begins the next drain.
@@ -92,6 +96,7 @@ impl Replaying {
         (0..cell.robot.len()).for_each(|robot| add(layout.robot(robot), Kind::Robot));
         (0..cell.bus.len()).for_each(|bus| add(layout.bus(bus), Kind::Bus));
         (0..layout.lines()).for_each(|line| add(layout.line(line), Kind::Line));
+        (0..cell.device.len()).for_each(|device| add(layout.device(device), Kind::Device));
 
         let text = |key: &str| reader.facts().texts.get(key).cloned().unwrap_or_default();
         let result = Replay {
@@ -142,6 +147,7 @@ impl Replaying {
             records,
             buses,
             lines: readers,
+            samples: std::mem::take(&mut devices.samples),
             layout,
             file: file.clone(),
             steps: VecDeque::new(),
@@ -369,6 +375,12 @@ impl Replaying {
                 if is_sent_bytes(&entry) {
                     self.output(self.layout.line(line), entry.now, &LineData::of(&entry));
                 }
+            }
+        }
+        for device in 0..self.samples.len() {
+            while let Some((at, sample)) = self.samples[device].take() {
+                let message = DeviceSample::of(sample.as_ref(), self.layout.devices()[device]);
+                self.output(self.layout.device(device), at, &message);
             }
         }
         for link in &mut self.links {

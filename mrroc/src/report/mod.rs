@@ -6,6 +6,7 @@
 
 mod configuration;
 mod curves;
+mod devices;
 mod fault;
 mod last_cycles;
 #[cfg(feature = "pages")]
@@ -30,6 +31,7 @@ use crate::{budget::BusBudget, cell::CellFile, run::ServoHang, wire::WireReport}
 
 pub use crate::row_file::IncompleteFile;
 pub use configuration::ConfigurationReport;
+pub use devices::{DeviceReport, ValueReport};
 pub use fault::{ErrorPlace, FaultReport};
 pub use last_cycles::{CycleState, LastCycles};
 #[cfg(feature = "pages")]
@@ -88,6 +90,9 @@ pub struct RunReport {
     pub recovered: Vec<FaultReport>,
     /// Files that were asked for and lack entries, for example because the disk was full. The exit status is then 1.
     pub incomplete_files: Vec<IncompleteFile>,
+    /// The devices of other crates; absent without such a device.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub devices: Vec<DeviceReport>,
     /// Figures that the task reported, by name.
     pub figures: BTreeMap<String, f64>,
     /// Motions of which a part was slower than the limits of the tool permit, because of the limits of joints.
@@ -210,6 +215,7 @@ impl RunReport {
             slowed: end.slowed.0.iter().map(|motion| SlowedReport::of(file, motion)).collect(),
             more_slowed: end.slowed.1,
             incomplete_files: take(&mut end.incomplete),
+            devices: take(&mut end.tracks.devices),
             figures: BTreeMap::new(),
             idle_faults: Vec::new(),
             denied: take(&mut end.denied),

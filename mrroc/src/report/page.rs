@@ -34,6 +34,7 @@ pub(crate) fn page(report: &RunReport, tracks: &Tracks, timing: &Timing) -> Resu
         );
     }
     let figures: Vec<_> = report.figures.iter().map(|(name, value)| format!("{name}: {value:.4}")).collect();
+    list(&mut page, "Devices", &report.devices);
     list(&mut page, "Figures of the task", &figures);
     list(&mut page, "Faults", &report.faults);
     list(&mut page, "Recovered errors", &report.recovered);

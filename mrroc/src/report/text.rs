@@ -126,6 +126,9 @@ impl fmt::Display for RunReport {
         for idle in &self.idle_faults {
             writeln!(f, "warning: {idle}")?;
         }
+        for device in &self.devices {
+            writeln!(f, "{device}")?;
+        }
         for (name, value) in &self.figures {
             writeln!(f, "{name}: {value:.4}")?;
         }

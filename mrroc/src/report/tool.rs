@@ -7,10 +7,12 @@
 use can::Instant;
 use controller::generator::{Axes, Pose};
 use controller::robot::{Arm, KinematicsError, LinkKind};
+use drive::device::DeviceSample;
 use serde::Serialize;
 use servo::{Record, TrackingError};
 
 use super::curves::{Curve, Path};
+use super::devices::DeviceReport;
 use super::last_cycles::{LastCycles, Recorded};
 use crate::cell::CellFile;
 
@@ -70,6 +72,8 @@ impl Deviation {
 /// The robots of a run, followed record by record.
 pub(crate) struct Tracks {
     pub(crate) robots: Vec<Track>,
+    /// The devices of other crates.
+    pub(crate) devices: Vec<DeviceReport>,
     /// When the first cycle was.
     first: Option<Instant>,
     /// Names of the axes of each robot.
@@ -89,7 +93,7 @@ impl Tracks {
             (0..robot.axis.len()).map(|axis| file.axis_name(number, axis)).collect()
         };
         let axes = file.cell.robot.iter().enumerate().map(axes).collect();
-        Self { robots: robots.map(track).collect(), first: None, axes }
+        Self { robots: robots.map(track).collect(), devices: DeviceReport::all(file), first: None, axes }
     }
 
     pub(crate) fn observe(&mut self, record: &Record) {
@@ -98,6 +102,13 @@ impl Tracks {
             let time = record.at.since(first).as_secs_f64();
             track.recorded.observe(record, time);
             track.observe(record, time);
+        }
+    }
+
+    /// Takes a sample of device `device`; `None`: the device has a fault.
+    pub(crate) fn sample(&mut self, device: usize, sample: Option<&DeviceSample>) {
+        if let (Some(report), Some(sample)) = (self.devices.get_mut(device), sample) {
+            report.observe(sample);
         }
     }
 

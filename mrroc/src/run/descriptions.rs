@@ -4,6 +4,7 @@ use controller::ecp::EcpError;
 use controller::executor::InstructionError;
 use controller::sensor::ForceTorque;
 use drive::cia401::IoLink;
+use drive::device::DeviceLink;
 use drive::ultrasonic::UltrasonicLink;
 use drive::{EmergencyStop, Fault};
 use servo::thread::Panicked;
@@ -100,6 +101,13 @@ pub(super) fn matrix_faults(file: &CellFile, matrices: &[UltrasonicLink]) -> imp
     faults.map(|(given, fault)| {
         FaultReport::of_run(format!("ultrasonic matrix {}: {fault}", given.name)).checked_by(fault.remedy())
     })
+}
+
+/// The latched faults of the devices of other crates. The axes do not stop by such a fault.
+pub(super) fn device_faults(file: &CellFile, links: &[DeviceLink]) -> impl Iterator<Item = FaultReport> {
+    let devices = file.cell.device.iter().zip(links);
+    let faults = devices.filter_map(|(given, link)| Some((given, link.read().fault?)));
+    faults.map(|(given, fault)| FaultReport::of_run(format!("{}: {fault}", given.title())).checked_by(fault.remedy()))
 }
 
 /// A panic of the servo thread after `cycles` cycles.

@@ -9,6 +9,7 @@ use drive::EmergencyStop;
 use drive::axis_controller::AxisControllerFault;
 use drive::bus::Sign;
 use drive::cia401::IoFault;
+use drive::device::DeviceFault;
 use drive::ultrasonic::UltrasonicFault;
 use drive::wrench::{WrenchAxis, WrenchFault};
 use drive::{BringUpError, Fault, Refusal};
@@ -345,6 +346,17 @@ fn of_matrices() -> Vec<UltrasonicFault> {
     ]
 }
 
+fn of_own_devices() -> Vec<DeviceFault> {
+    vec![
+        DeviceFault::NotStarted,
+        DeviceFault::Ended,
+        DeviceFault::Silent { samples: 4 },
+        DeviceFault::Garbage { readings: 9 },
+        DeviceFault::Refused { code: 3 },
+        DeviceFault::Line(LineError::Gone),
+    ]
+}
+
 /// Every fault with the place that its line must name.
 fn all(file: &CellFile) -> Vec<(FaultReport, &'static str)> {
     let of = |axis, cause| describe_fault(file, 0, &ServoFault::new(axis, cause));
@@ -376,6 +388,8 @@ fn all(file: &CellFile) -> Vec<(FaultReport, &'static str)> {
     all.extend(
         matrices.iter().map(|it| (device("ultrasonic matrix front", it).checked_by(it.remedy()), "matrix front")),
     );
+    let own = of_own_devices();
+    all.extend(own.iter().map(|it| (device("device range (acme-range)", it).checked_by(it.remedy()), "device range")));
     let silence = WAITED;
     all.push((of_guardian(file, GuardianFault::Stopped { silence }, None), "guardian"));
     all.push((of_guardian(file, GuardianFault::Lost { pid: 1_234_567 }, None), "guardian"));

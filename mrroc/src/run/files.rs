@@ -8,6 +8,7 @@ use std::time::Duration;
 use anyhow::{Context, anyhow};
 
 use can::{TraceEvent, TraceReader};
+use drive::device::DeviceSamples;
 use serial::LineTraceReader;
 use servo::Record;
 
@@ -32,6 +33,8 @@ pub(super) struct Logs {
     /// What passed at each port and each line, if it is traced.
     pub(super) buses: Vec<TraceReader>,
     pub(super) lines: Vec<LineTraceReader>,
+    /// All samples of the devices of other crates.
+    pub(super) samples: Vec<DeviceSamples>,
     pub(super) recorder: Option<Recorder>,
     /// The run ended in a fault.
     pub(super) faulted: Arc<AtomicBool>,
@@ -51,6 +54,7 @@ impl Logs {
         if let Some(steps) = &mut self.steps {
             steps.drain();
         }
+        self.drain_samples();
         let count = self.records.slots();
         if let Ok(records) = self.records.read_chunk(count) {
             let (first, rest) = records.as_slices();
@@ -98,10 +102,26 @@ impl Logs {
         }
     }
 
-    /// Entries of ports and lines that found no room.
+    /// Takes the samples of devices. Rows of a cycle need the samples of the cycle.
+    fn drain_samples(&mut self) {
+        for (device, samples) in self.samples.iter_mut().enumerate() {
+            while let Some((at, sample)) = samples.take() {
+                self.tracks.sample(device, sample.as_ref());
+                if let Some(recorder) = &mut self.recorder {
+                    recorder.sample(device, at, sample.as_ref());
+                }
+                if let Some(axes) = &mut self.axes {
+                    axes.sample(device, at, sample);
+                }
+            }
+        }
+    }
+
+    /// Entries of ports and lines, and samples, that found no room.
     fn lost(&self) -> u64 {
         let buses = self.buses.iter().map(TraceReader::lost).sum::<u64>();
-        buses + self.lines.iter().map(LineTraceReader::lost).sum::<u64>()
+        let lines = self.lines.iter().map(LineTraceReader::lost).sum::<u64>();
+        buses + lines + self.samples.iter().map(DeviceSamples::lost).sum::<u64>()
     }
 
     fn is_recorded(&self) -> bool {

@@ -222,7 +222,7 @@ pub(crate) fn run_rehearsed(
         &cell,
         program,
         links,
-        (devices.io, sensors, devices.matrices, cameras.links()),
+        (devices.io, sensors, devices.matrices, devices.own, cameras.links()),
         &servo,
         rehearsed,
     );
@@ -232,6 +232,7 @@ pub(crate) fn run_rehearsed(
         records: servo.record(lag * file.cell.robot.len()),
         buses: bench.traces,
         lines,
+        samples: devices.samples,
         recorder,
         faulted: Arc::default(),
         tracks: Tracks::new(file, page.is_wanted()),

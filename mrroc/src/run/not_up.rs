@@ -23,6 +23,10 @@ pub fn why_not_up(file: &CellFile, why: NotUp) -> anyhow::Error {
         let cause: &dyn Display = if let BringUpError::Ultrasonic { error } = &error { error } else { &error };
         return anyhow!("ultrasonic matrix {}, line {}: {cause}", matrix.name, printable(&matrix.line));
     }
+    if let Some(device) = file.cell.device_of_group(bus) {
+        let cause: &dyn Display = if let BringUpError::Device { error } = &error { error } else { &error };
+        return anyhow!("{}, line {}: {cause}", device.title(), printable(&device.keys.line));
+    }
     let axis = file.cell.axes_on(bus).enumerate().find(|&(index, (robot, axis))| match error.line() {
         Some(line) => index == line,
         None => error.node() == Some(file.cell.robot[robot].axis[axis].node),

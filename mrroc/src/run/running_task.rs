@@ -12,17 +12,18 @@ use controller::generator::{Axes, PlannedStart};
 use controller::sensor::ForceTorque;
 use drive::camera::CameraLink;
 use drive::cia401::IoLink;
+use drive::device::DeviceLink;
 use drive::ultrasonic::UltrasonicLink;
 use servo::{EffectorLink, Phase, Servo, SpeedOverride, StopRequest};
 use thiserror::Error;
 
-use super::descriptions::{describe, force_faults, io_faults, matrix_faults};
+use super::descriptions::{describe, device_faults, force_faults, io_faults, matrix_faults};
 use super::worker::Worker;
 use crate::cell::CellFile;
 use crate::rehearsal::{Course, Rehearsed, homes, rehearse_again};
 use crate::report::FaultReport;
 use crate::report::slowed::{self, SlowedMotion};
-use crate::tasks::{Equipment, Figures, Program, TaskError};
+use crate::tasks::{Equipment, Figures, Links, Program, TaskError};
 use crate::{setup, streams};
 
 /// A task that is to run.
@@ -36,6 +37,8 @@ pub(crate) struct RunningTask {
     sensors: Vec<ForceTorque>,
     /// One link per ultrasonic matrix.
     matrices: Vec<UltrasonicLink>,
+    /// One link per device of another crate.
+    own: Vec<DeviceLink>,
     /// One link per camera.
     cameras: Vec<CameraLink>,
     /// Figures that the task reports.
@@ -106,7 +109,7 @@ impl RunningTask {
         file: &Arc<CellFile>,
         program: &Program,
         links: Vec<EffectorLink>,
-        (io, sensors, matrices, cameras): (Vec<IoLink>, Vec<ForceTorque>, Vec<UltrasonicLink>, Vec<CameraLink>),
+        (io, sensors, matrices, own, cameras): Links,
         servo: &Servo,
         rehearsed: &Rehearsed,
     ) -> Self {
@@ -115,6 +118,7 @@ impl RunningTask {
             program: program.clone(),
             sensors,
             matrices,
+            own,
             cameras,
             subcontrollers: setup::subcontrollers(file, links),
             io,
@@ -162,6 +166,7 @@ impl RunningTask {
             io,
             sensors,
             matrices,
+            own,
             cameras,
             figures,
             instructions,
@@ -175,6 +180,7 @@ impl RunningTask {
             io: io.clone(),
             sensors: sensors.clone(),
             matrices: matrices.clone(),
+            own: own.clone(),
             cameras,
             speed,
             figures,
@@ -183,7 +189,7 @@ impl RunningTask {
         let mut executor = program.begin(&file, equipment, false, turns);
         let robots = homes(&file).into_iter().zip(moved).map(|(home, moved)| RunningRobot::at(home, moved));
         let robots: Vec<_> = robots.collect();
-        let noticed = vec![None; io.len() + sensors.len() + matrices.len()];
+        let noticed = vec![None; io.len() + sensors.len() + matrices.len() + own.len()];
         (0..robots.len()).for_each(|robot| executor.hold(robot, true));
         Carrying {
             executor,
@@ -192,6 +198,7 @@ impl RunningTask {
             io,
             sensors,
             matrices,
+            own,
             instructions,
             stop,
             rehearsals,
@@ -213,6 +220,8 @@ pub(super) struct Carrying {
     io: Vec<IoLink>,
     sensors: Vec<ForceTorque>,
     matrices: Vec<UltrasonicLink>,
+    /// One link per device of another crate.
+    own: Vec<DeviceLink>,
     instructions: u64,
     stop: StopRequest,
     rehearsals: Rehearsals,
@@ -223,7 +232,8 @@ pub(super) struct Carrying {
     refusals: Vec<FaultReport>,
     /// Time of the first poll.
     began: Option<Instant>,
-    /// Time since the first poll, s, of the fault of each I/O node, force sensor and ultrasonic matrix, in this order.
+    /// Time since the first poll, s, of the fault of each I/O node, force sensor, ultrasonic matrix and device of another
+    /// crate, in this order.
     noticed: Vec<Option<f64>>,
     /// Motions that joints slowed, and the number of further ones.
     slowed: (Vec<SlowedMotion>, u64),
@@ -353,7 +363,8 @@ impl Carrying {
         let io = self.io.iter().map(|link| link.inputs.read().fault.is_some());
         let sensors = self.sensors.iter().map(|sensor| sensor.link().read().fault.is_some());
         let matrices = self.matrices.iter().map(|link| link.read().fault.is_some());
-        for (noticed, faulted) in self.noticed.iter_mut().zip(io.chain(sensors).chain(matrices)) {
+        let own = self.own.iter().map(|link| link.read().fault.is_some());
+        for (noticed, faulted) in self.noticed.iter_mut().zip(io.chain(sensors).chain(matrices).chain(own)) {
             *noticed = faulted.then(|| noticed.unwrap_or(time));
         }
     }
@@ -381,7 +392,8 @@ impl Carrying {
         }
         let mut noticed = self.noticed.into_iter().flatten();
         let of_devices = io_faults(file, &self.io).chain(force_faults(file, &self.sensors));
-        for fault in of_devices.chain(matrix_faults(file, &self.matrices)) {
+        let of_devices = of_devices.chain(matrix_faults(file, &self.matrices)).chain(device_faults(file, &self.own));
+        for fault in of_devices {
             let fault = FaultReport { time_s: noticed.next(), ..fault };
             // This error may have ended the task.
             if !faults.iter().any(|known| known.is_same(&fault)) {

@@ -49,14 +49,7 @@ impl Stage {
             lags: Vec::new(),
             blocked: Duration::ZERO,
         };
-        let task = RunningTask::new(
-            &file,
-            program,
-            links,
-            (Vec::new(), Vec::new(), Vec::new(), Vec::new()),
-            &servo,
-            &rehearsed,
-        );
+        let task = RunningTask::new(&file, program, links, Default::default(), &servo, &rehearsed);
         let ((ask, asked), (answer, verdicts)) = (sync_channel(2), sync_channel(2));
         let carrying = task.begin(Rehearsals::Aside { ask, verdicts });
         let now = lockstep::bring_up(&mut servo, Instant::ZERO, |_| {}).unwrap();

@@ -2,8 +2,9 @@
 
 use std::sync::Arc;
 
-use can::{InterfaceName, TraceEntry};
+use can::{Instant, InterfaceName, TraceEntry};
 use controller::sensor::ForceTorque;
+use drive::device::DeviceSample;
 use serial::LineEntry;
 use servo::{Record, Servo};
 
@@ -62,6 +63,10 @@ impl Recorder {
     }
 
     pub(super) fn line(&mut self, _: usize, _: &LineEntry) {
+        match *self {}
+    }
+
+    pub(super) fn sample(&mut self, _: usize, _: Instant, _: Option<&DeviceSample>) {
         match *self {}
     }
 

@@ -10,11 +10,12 @@ use controller::generator::{EffectorImage, Generator, Message, Pose, SensorReadi
 use controller::sensor::{ForceTorque, Shell, VirtualSensor};
 use drive::camera::CameraLink;
 use drive::cia401::{IoLink, LatestInputs};
+use drive::device::DeviceLink;
 use drive::ultrasonic::UltrasonicLink;
 use serde::de::DeserializeOwned;
 use servo::SpeedOverride;
 
-use super::{Camera, Desk, Figures, ForceSensor, InputLine, Outcome, OutputLine, TaskError, Team, Ultrasonic};
+use super::{Camera, Desk, Device, Figures, ForceSensor, InputLine, Outcome, OutputLine, TaskError, Team, Ultrasonic};
 use crate::cell::CellFile;
 use crate::motions::Motions;
 
@@ -25,6 +26,7 @@ pub struct Cell {
     io: Vec<IoLink>,
     sensors: Vec<ForceTorque>,
     matrices: Vec<UltrasonicLink>,
+    own: Vec<DeviceLink>,
     cameras: Vec<CameraLink>,
     speed: SpeedOverride,
     figures: Figures,
@@ -41,16 +43,19 @@ pub struct Robot {
     pub(super) desk: Desk,
 }
 
+/// The links of a cell: I/O nodes, force sensors, ultrasonic matrices, devices of other crates, and cameras.
+pub(crate) type Links = (Vec<IoLink>, Vec<ForceTorque>, Vec<UltrasonicLink>, Vec<DeviceLink>, Vec<CameraLink>);
+
 impl Cell {
     pub(super) fn new(
         file: &Arc<CellFile>,
         agents: Agents,
-        (io, sensors, matrices, cameras): (Vec<IoLink>, Vec<ForceTorque>, Vec<UltrasonicLink>, Vec<CameraLink>),
+        (io, sensors, matrices, own, cameras): Links,
         speed: SpeedOverride,
         figures: Figures,
         desk: Desk,
     ) -> Self {
-        Self { file: Arc::clone(file), agents, io, sensors, matrices, cameras, speed, figures, desk }
+        Self { file: Arc::clone(file), agents, io, sensors, matrices, own, cameras, speed, figures, desk }
     }
 
     /// The cell file.
@@ -121,6 +126,17 @@ impl Cell {
             return Err(TaskError::UnknownUltrasonic { name: name.to_owned() });
         };
         Ok(Ultrasonic::new(given, link.clone(), self.agents.clone(), self.file.cell.period()))
+    }
+
+    /// The device of another crate called `name`.
+    pub fn device(&self, name: &str) -> Result<Device, TaskError> {
+        let devices = &self.file.cell.device;
+        let mut given = devices.iter().zip(&self.own);
+        let Some((given, link)) = given.find(|(given, _)| given.keys.name == name) else {
+            let known: Vec<_> = devices.iter().map(|device| device.keys.name.as_str()).collect();
+            return Err(TaskError::UnknownDevice { name: name.to_owned(), known: known.join(", ") });
+        };
+        Ok(Device::new(given, link.clone(), self.agents.clone(), self.file.cell.period()))
     }
 
     /// The camera called `name`.

@@ -10,6 +10,7 @@ use controller::robot::KinematicsError;
 use controller::sensor::{EchoError, ForceError, OperatorError, SensorRefused, SightError};
 use thiserror::Error;
 
+use super::device::DeviceReadError;
 use crate::cell::FileError;
 
 /// Result of a task and of each of its instructions.
@@ -79,6 +80,22 @@ pub enum TaskError {
         name: Box<str>,
         /// The reason.
         error: EchoError,
+    },
+    /// The cell has no device of this name.
+    #[error("the cell has no device {name:?}, it has: {known}; add the device as [[device]]")]
+    UnknownDevice {
+        /// The requested name.
+        name: String,
+        /// The names of all devices.
+        known: String,
+    },
+    /// A device of another crate gives no reading.
+    #[error("device {name}: {error}")]
+    Device {
+        /// Name of the device.
+        name: Box<str>,
+        /// The reason.
+        error: Box<DeviceReadError>,
     },
     /// The cell has no camera of this name.
     #[error("the cell has no camera {name:?}: add it as [[camera]]")]
@@ -152,6 +169,8 @@ impl TaskError {
             | Self::ForceSensor { .. }
             | Self::UnknownUltrasonic { .. }
             | Self::Ultrasonic { .. }
+            | Self::UnknownDevice { .. }
+            | Self::Device { .. }
             | Self::UnknownCamera { .. }
             | Self::Camera { .. }
             | Self::RobotInUse { .. }

@@ -3,6 +3,7 @@
 mod camera;
 mod carried;
 mod cell;
+mod device;
 mod draft;
 mod error;
 mod figures;
@@ -25,6 +26,7 @@ use controller::executor::{Agents, Executor, Turns};
 use controller::sensor::{ForceTorque, OperatorLink};
 use drive::camera::CameraLink;
 use drive::cia401::IoLink;
+use drive::device::DeviceLink;
 use drive::ultrasonic::UltrasonicLink;
 use servo::SpeedOverride;
 
@@ -34,7 +36,9 @@ pub use camera::Camera;
 pub use carried::CarriedTask;
 #[cfg(feature = "command-line")]
 pub use carried::{TaskOptions, convention};
+pub(crate) use cell::Links;
 pub use cell::{Cell, Robot};
+pub use device::{Device, DeviceReadError, DeviceReading};
 pub use error::{Outcome, TaskError};
 pub use figures::Figures;
 pub use force::ForceSensor;
@@ -65,6 +69,8 @@ pub struct Equipment {
     pub sensors: Vec<ForceTorque>,
     /// One link per ultrasonic matrix, in the order of [`Cell::ultrasonic`](crate::cell::Cell::ultrasonic).
     pub matrices: Vec<UltrasonicLink>,
+    /// One link per device of another crate, in the order of [`Cell::device`](crate::cell::Cell::device).
+    pub own: Vec<DeviceLink>,
     /// One link per camera, in the order of [`Cell::camera`](crate::cell::Cell::camera).
     pub cameras: Vec<CameraLink>,
     /// The speed override of the servo.
@@ -118,7 +124,7 @@ impl Program {
         rehearsing: bool,
         turns: Turns,
     ) -> Executor<TaskError> {
-        let Equipment { subcontrollers, io, sensors, matrices, cameras, speed, figures } = equipment;
+        let Equipment { subcontrollers, io, sensors, matrices, own, cameras, speed, figures } = equipment;
         let agents = Agents::new(subcontrollers);
         let desk = Desk {
             link: self.operator.clone(),
@@ -126,7 +132,7 @@ impl Program {
             rehearsing: rehearsing || self.with_scene,
             surroundings: !rehearsing,
         };
-        let devices = (io, sensors, matrices, cameras);
+        let devices = (io, sensors, matrices, own, cameras);
         let (task, mut cell) = (Arc::clone(&self.task), Cell::new(file, agents.clone(), devices, speed, figures, desk));
         Executor::new(agents, async move { task.carry(&mut cell).await }, turns)
     }

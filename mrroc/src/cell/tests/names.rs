@@ -2,7 +2,7 @@
 
 use super::*;
 
-const NAMES: [(&str, &str, &str, &str); 14] = [
+const NAMES: [(&str, &str, &str, &str); 15] = [
     ("cell", "name = \"lab\"", "name = NAME", "name"),
     ("bus", "name = \"track-base\"", "name = NAME", "bus[0].name"),
     ("bundle", "name = \"irb6\"\nprotocol", "name = NAME\nprotocol", "serial[0].name"),
@@ -52,6 +52,12 @@ const NAMES: [(&str, &str, &str, &str); 14] = [
         "ultrasonic[0].name",
     ),
     (
+        "device",
+        "period_us = 2000",
+        "device = [{ name = NAME, kind = \"test-ranger\", line = \"a\", reach = 1.0 }]\nperiod_us = 2000",
+        "device[0].name",
+    ),
+    (
         "bar",
         "period_us = 2000",
         "scene = { bar = [{ name = NAME, mass = 1, length = 1, width = 0.1, place = { position = [0, 0, 0] } }] }\n\
@@ -68,6 +74,7 @@ const NAMES: [(&str, &str, &str, &str); 14] = [
 
 #[test]
 fn a_name_that_a_path_a_table_or_an_option_would_misread_is_refused() {
+    crate::devices::register::<crate::devices::tests::Ranger>();
     let bad = [
         "",
         "../../evil",

@@ -6,6 +6,7 @@ mod buses;
 mod camera;
 mod can_force_sensor;
 mod conveyor;
+mod device;
 mod force;
 mod force_law;
 mod homing;
@@ -64,6 +65,7 @@ pub(super) fn check(cell: &Cell) -> Checked {
     force_law::check(cell)?;
     ultrasonic::check(cell)?;
     camera::check(cell)?;
+    device::check(cell)?;
     scene::check(cell)?;
     meetings::check(cell)?;
     assembly::check(cell)?;

@@ -64,8 +64,7 @@ pub(super) struct Controller {
 
 impl Stage {
     pub(super) fn new(file: &CellFile) -> anyhow::Result<Self> {
-        let sensors = file.cell.serial_sensors().next().is_some() || !file.cell.ultrasonic.is_empty();
-        if sensors || !file.cell.camera.is_empty() {
+        if file.cell.has_sensor_lines() || !file.cell.camera.is_empty() {
             bail!(
                 "a soak connects the controller again, which the emulated sensors on lines and cameras do not permit"
             );
@@ -113,6 +112,7 @@ impl Stage {
             io: devices.io,
             sensors,
             matrices: devices.matrices,
+            own: devices.own,
             cameras: Vec::new(),
             speed: servo.speed_override(),
             figures: Figures::default(),

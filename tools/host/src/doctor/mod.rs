@@ -39,6 +39,7 @@ use servo::thread::{Denial, set_deadline, set_fifo};
 use finding::{Finding, Verdict};
 use link::Link;
 use mrroc::bench::interfaces::Interface;
+use mrroc::bench::sensor_lines;
 use mrroc::cell::{Cell, CellFile, Realtime, Scheduler};
 use mrroc::streams;
 use record::Record;
@@ -206,13 +207,9 @@ fn wanted(tree: &Tree, cell: Option<&Cell>) -> (Vec<can_interfaces::Wanted>, Vec
             }
         }
     }
-    for sensor in cell.serial_sensors().map(|sensor| &cell.force_sensor[sensor]) {
-        let path = sensor.tty().to_owned();
-        lines.push(serial_lines::Wanted { of: format!("force sensor {}, {path}", sensor.name), path });
-    }
-    for matrix in &cell.ultrasonic {
-        let path = matrix.line.clone();
-        lines.push(serial_lines::Wanted { of: format!("ultrasonic matrix {}, {path}", matrix.name), path });
+    for sensor in sensor_lines(cell) {
+        let path = sensor.line.to_owned();
+        lines.push(serial_lines::Wanted { of: format!("{} {}, {path}", sensor.what, sensor.name), path });
     }
     for bundle in cell.bus.len()..cell.groups().count() {
         lines.extend(cell.axes_on(bundle).map(|(robot, axis)| {

@@ -29,7 +29,7 @@ pub(super) fn check(file: Option<&CellFile>, bench: CellBench, can: &[String]) -
         return Ok(());
     };
     let cell = &file.cell;
-    if !(cell.serial.is_empty() && cell.serial_sensors().next().is_none() && cell.ultrasonic.is_empty()) {
+    if !cell.serial.is_empty() || cell.has_sensor_lines() {
         bail!("--bench vcan has no serial lines, and those of the cell may be an arm's: --bench emulated measures it");
     }
     let mut given = vec![None; cell.bus.len()];
