@@ -6,8 +6,9 @@ use anyhow::{Context, anyhow, bail};
 use can::Instant;
 use hil::{DriveId, FaultInEffect, PlantAxis, PlantFault, WorldFault};
 use mrroc::bench::emulation::Emulation;
+use mrroc::bench::plants::plant;
 use mrroc::cell::CellFile;
-use mrroc::scenario::axis_place;
+use mrroc::scenario::{FaultKind, axis_place};
 use mrroc::{run, setup};
 use serial::Line;
 use servo::{EffectorLink, MAX_AXES, Order, Phase, Servo, ServoFault, ServoState, StopCategory, StopCause, lockstep};
@@ -305,6 +306,12 @@ impl<'a> Stage<'a> {
             let speed = if self.phase(0) == Phase::Moving { self.motions[0].velocity[axis].abs() } else { 0.0 };
             let given = &self.file.cell.robot[0].axis[axis];
             numbers.increments = (multiple * smallest_step(self.file, given, speed)).ceil() as i32;
+        }
+        if kind == FaultKind::SaggingSupply && self.phase(0) == Phase::Moving {
+            // A supply that suffices for the motion is no fault: at most half of the back-EMF is left.
+            let plant = plant(self.file, 0, axis);
+            let back = plant.plant.torque_constant() * self.motions[0].velocity[axis].abs();
+            numbers.share = numbers.share.min(0.5 * back / plant.amplifier.max_voltage);
         }
         let mut faults = Vec::new();
         for axis in struck {
