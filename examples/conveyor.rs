@@ -62,7 +62,9 @@ pub(crate) async fn watch(cell: &mut Cell) -> Outcome {
     let mut gates = cell.light_gates(&track)?;
     irb6.enable().await?;
     irb6.home().await?;
-    cell.end_rehearsal("no object passes in a rehearsal")?;
+    if !cell.has_surroundings() {
+        cell.end_rehearsal("no object passes in a rehearsal")?;
+    }
     irb6.sense(cell.light_gates(&track)?, Shell::NonInteractive, 1)?;
     irb6.execute(Await { macrostep: Duration::ZERO }).await?;
     if let Some(passage) = gates.read().1.passage()? {

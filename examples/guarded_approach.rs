@@ -87,7 +87,7 @@ pub(crate) async fn approach(cell: &mut Cell) -> Outcome {
                 Outcome::Ok(())
             };
             join(motion, watch).await?;
-            if cell.rehearsing() {
+            if !cell.has_surroundings() {
                 continue;
             }
             if !irb6.has_touched() {

@@ -2,7 +2,8 @@
 //! output.
 //!
 //! The probe is a digital input of an I/O node on the bus of the drives. The emulated probe is actuated by the force
-//! between the tip of the tool and a block. A rehearsal has no block: the column then turns all the way.
+//! between the tip of the tool and a block. A rehearsal on ideal drives has no block: the column then
+//! turns all the way.
 
 use mrroc::prelude::*;
 
@@ -55,7 +56,7 @@ pub(crate) async fn find(cell: &mut Cell) -> Outcome {
     irb6.sense(probe.sensor(), Shell::NonInteractive, 1)?;
     irb6.execute(UntilTouch { probe: probe.number(), speed: 0.05, travel: 1.0, macrostep: 0.0 }).await?;
     let has_touched = probe.read().is_some_and(|input| input.level);
-    if !has_touched && !cell.rehearsing() {
+    if !has_touched && cell.has_surroundings() {
         return Err(TaskError::Refused(mrroc::Error::msg("the probe met nothing on its way")));
     }
     gripper.set(true);

@@ -33,13 +33,11 @@ use clap::builder::PossibleValuesParser;
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use indicatif::{ProgressBar, ProgressStyle};
 use mrroc::cell::{Cell, CellFile};
+use mrroc::check::CheckReport;
 use mrroc::outputs::Measured;
 use mrroc::recording::{self, ReplayOptions};
 use mrroc::scenario::Scenario;
-use mrroc::{
-    Extension, signals, streams,
-    tasks::{Program, TaskOptions},
-};
+use mrroc::{Extension, signals, streams, tasks::TaskOptions};
 use serde::Serialize;
 
 /// Exit status in the help text: scripts may rely on it.
@@ -62,6 +60,10 @@ enum Command {
         cell: PathBuf,
         #[command(flatten)]
         task: TaskOptions,
+        /// Rehearse the task with the emulated scene of the cell too: with contact, sensors and the torques of the emulated
+        /// drives. This takes as long as a run with --bench lockstep.
+        #[arg(long)]
+        rehearse_with_scene: bool,
         /// Print one JSON object.
         #[arg(long)]
         json: bool,
@@ -224,7 +226,10 @@ fn command(extension: &Extension) -> clap::Command {
 
 fn answer(command: Command, extension: &Extension) -> anyhow::Result<ExitCode> {
     match command {
-        Command::Check { cell, task, json } => check(&cell, &task.program(extension)?, json),
+        Command::Check { cell, task, rehearse_with_scene, json } => {
+            let checked = if rehearse_with_scene { mrroc::check_with_scene } else { mrroc::check };
+            check(&checked(&CellFile::read(&cell)?, &task.program(extension)?)?, json)
+        }
         Command::Doctor(options) => host::doctor::doctor(&options),
         Command::Run { cell, task, options } => {
             let program = task.program(extension)?;
@@ -259,8 +264,7 @@ fn answer(command: Command, extension: &Extension) -> anyhow::Result<ExitCode> {
     }
 }
 
-fn check(cell: &Path, program: &Program, json: bool) -> anyhow::Result<ExitCode> {
-    let checked = mrroc::check(&CellFile::read(cell)?, program)?;
+fn check(checked: &CheckReport, json: bool) -> anyhow::Result<ExitCode> {
     for problem in &checked.problems {
         streams::warn(format_args!(
             "mrroc: {problem}; only for robots that are wired otherwise than the emulated ones"
@@ -269,7 +273,7 @@ fn check(cell: &Path, program: &Program, json: bool) -> anyhow::Result<ExitCode>
     for warning in &checked.warnings {
         streams::warn(format_args!("mrroc: {warning}"));
     }
-    streams::answer(&checked, json)
+    streams::answer(checked, json)
 }
 
 /// Replays a recording. Exit status 1 if an output differs, and 2 if the recording was cut or is damaged.

@@ -34,6 +34,7 @@ fn main() -> ExitCode {
         load: Some(Load::of_weight(0.5, Vector3::new(0.0, 0.0, 0.05)).expect("the load is a body")),
         lag: Duration::ZERO,
         zeroed: None,
+        payload: None,
         limits: ForceLimits {
             wrench: [100.0; 6],
             age: 3 * PERIOD,

@@ -67,7 +67,7 @@ impl std::ops::Sub for Wrench {
 }
 
 /// The load behind a sensor: the tool, a carried object, and the tool-side plate of the sensor.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Load {
     mass: f64,
     centre: Vector3<f64>,
@@ -134,6 +134,28 @@ impl Load {
     /// A load as a point mass, without inertia about its centre of mass. Sufficient for slow motions.
     pub fn of_weight(mass: f64, centre: Vector3<f64>) -> Result<Self, LoadError> {
         Self::new(mass, centre, Matrix3::zeros())
+    }
+
+    /// This load and another one, rigidly joined.
+    #[must_use]
+    pub fn carrying(&self, part: &Self) -> Self {
+        let mass = self.mass + part.mass;
+        if mass == 0.0 {
+            return Self { inertia: self.inertia + part.inertia, ..*self };
+        }
+        let centre = (self.centre * self.mass + part.centre * part.mass) / mass;
+        let about_centre = |load: &Self| {
+            let arm = load.centre - centre;
+            load.inertia + (Matrix3::identity() * arm.norm_squared() - arm * arm.transpose()) * load.mass
+        };
+        Self { mass, centre, inertia: about_centre(self) + about_centre(part) }
+    }
+
+    /// Greatest absolute readings of a sensor by the weight of this load in any orientation: forces, N, then torques, N·m.
+    pub fn greatest_weight(&self) -> [f64; 6] {
+        let weight = self.mass * GRAVITY;
+        let [x, y, z] = self.centre.into();
+        [weight, weight, weight, weight * y.hypot(z), weight * z.hypot(x), weight * x.hypot(y)]
     }
 
     /// Whether the load has no mass and no inertia.
@@ -205,6 +227,26 @@ mod tests {
         };
         let inertia = points.iter().map(about).sum();
         (Load::new(mass, centre, inertia).unwrap(), points)
+    }
+
+    #[test]
+    fn two_joined_loads_weigh_and_resist_as_both_together() {
+        let mut random = Random(5);
+        let body = |random: &mut Random| {
+            let moments = Matrix3::from_diagonal(&Vector3::new(0.02, 0.03, 0.04));
+            Load::new(random.within(0.1, 3.0), vector(random, 0.2), moments).unwrap()
+        };
+        for _ in 0..100 {
+            let (one, other) = (body(&mut random), body(&mut random));
+            let motion = SensorMotion {
+                base_from_sensor: UnitQuaternion::from_scaled_axis(vector(&mut random, 2.0)),
+                angular_velocity: vector(&mut random, 3.0),
+                angular_acceleration: vector(&mut random, 20.0),
+                acceleration: vector(&mut random, 10.0),
+            };
+            let off = one.carrying(&other).wrench(&motion) - (one.wrench(&motion) + other.wrench(&motion));
+            assert!(off.force.amax() < 1e-9 && off.torque.amax() < 1e-9, "{one:?} {other:?}: {off:?}");
+        }
     }
 
     #[test]

@@ -147,6 +147,8 @@ pub enum TrajectoryFileProblem {
     TeachIn,
     #[error("must be joints = {} or joints = {}", JointConvention::Inclination, JointConvention::Relative)]
     Joints,
+    #[error("joints = {found} contradicts line {first}, joints = {told}: remove one of the two lines")]
+    TwoConventions { found: JointConvention, told: JointConvention, first: usize },
     #[error("the file ends before its {row} of pose {pose}: correct the number of poses in line 2, or add the rows")]
     Ended { pose: usize, row: PoseRow },
     #[error("the file ends before its first three lines: coordinates, number of poses, ABSOLUTE or RELATIVE")]

@@ -69,6 +69,7 @@ fn carry(regulation: Regulation) {
             upright_from_base: UnitQuaternion::identity(),
             flange_from_sensor: Pose::translation(0.0, 0.0, 0.09),
             load: Load::of_weight(1.0, Vector3::new(0.0, 0.0, 0.1)).expect("a body"),
+            range: [1e3; 6],
             lag: Duration::from_millis(2),
             max_offset: [20.0; 6],
         };

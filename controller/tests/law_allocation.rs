@@ -46,6 +46,7 @@ fn ten_thousand_cycles_of_a_law_and_its_ends_do_not_allocate() {
             load: Some(load),
             lag: Duration::ZERO,
             zeroed: None,
+            payload: None,
             limits,
         };
         let (mut sensor, link) = RehearsedWrench::new();

@@ -149,6 +149,7 @@ impl Rig {
             load: None,
             lag: Duration::ZERO,
             zeroed: None,
+            payload: None,
             limits,
         };
         let law = PositionForce::new(law, link).expect("the limits are sound");
@@ -196,6 +197,7 @@ impl Rig {
             acceleration: None,
             torque: [0.0; MAX_AXES],
             law: Some(task.into()),
+            continues_law: false,
         };
         self.link.orders.push(Order::Move(macrostep)).expect("there is room");
     }

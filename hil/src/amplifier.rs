@@ -27,6 +27,8 @@ impl AmplifierConfig {
     /// Bandwidth of the velocity loop, rad/s. 45 Hz: a fifth of the bandwidth of the encoder observer. The observer's
     /// bandwidth is a fifth of the loop's 1 kHz rate.
     pub const VELOCITY_BANDWIDTH: f64 = 45.0 * TAU;
+    /// Gain of the position loop, 1/s.
+    pub const POSITION_GAIN: f64 = Self::VELOCITY_BANDWIDTH / SPACING;
 }
 
 /// Sub-steps per step of the outer loops.
@@ -81,7 +83,7 @@ impl Gains {
         };
         let observer = SPACING * bandwidth;
         Self {
-            position: bandwidth / SPACING,
+            position: AmplifierConfig::POSITION_GAIN,
             velocity: inertia * bandwidth,
             velocity_integral: inertia * bandwidth * bandwidth / SPACING * OUTER_STEP,
             setpoint_share: 1.0 - (-OUTER_STEP / config.setpoint_filter.max(1e-9)).exp(),

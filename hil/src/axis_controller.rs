@@ -200,6 +200,9 @@ pub struct AxisControllerConfig {
 }
 
 impl AxisControllerConfig {
+    /// Supply of the power stage, V.
+    pub const SUPPLY: f64 = 48.0;
+
     /// A drive after power-on, with a short answer delay and a cabinet of its own.
     pub fn new(axis: AxisConfig) -> Self {
         Self {
@@ -207,7 +210,7 @@ impl AxisControllerConfig {
             seed: 0,
             axis,
             mount: None,
-            supply: 48.0,
+            supply: Self::SUPPLY,
             answer_delay: Duration::from_micros(100),
             counter: 0,
             synchronized: false,

@@ -13,6 +13,7 @@ use crate::bench::{BenchKind, emulated_lines, emulated_sensors};
 use crate::budget::{self, Bundle, BusBudget, MessageBudget, SensorBudget};
 use crate::cell::{CellFile, IoNode, Parameters, printable};
 use crate::rehearsal::{self, Rehearsed};
+use crate::report::ConfigurationReport;
 use crate::{run::RunningTask, setup, tasks::Program};
 
 /// The result of a successful check.
@@ -21,8 +22,11 @@ pub struct CheckReport {
     cell: String,
     period_us: u32,
     robots: Vec<CheckedRobot>,
-    /// Duration of the task without homing, s.
-    program_s: f64,
+    /// Duration of the task without homing, s; null if only the rehearsal with the scene came to its end.
+    program_s: Option<f64>,
+    /// Duration of the rehearsal with the scene, with homing, s.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    with_scene_s: Option<f64>,
     buses: Vec<BusBudget>,
     io: Vec<CheckedIo>,
     /// Functions that the cell needs and its emulation lacks. Real robots may have them.
@@ -39,20 +43,7 @@ struct CheckedRobot {
     /// What is special about an arm of the key `chain`.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     chain: Vec<String>,
-    configurations: Vec<CheckedConfiguration>,
-}
-
-#[derive(Debug, Serialize)]
-struct CheckedConfiguration {
-    axis: String,
-    file: String,
-    writes: usize,
-    /// Writes of defaults, which are made where the drive holds another value.
-    defaults: usize,
-    /// Read-only values in the file, which are compared with the drive.
-    compared: usize,
-    /// Values in the file that are not written.
-    left_out: usize,
+    configurations: Vec<ConfigurationReport>,
 }
 
 #[derive(Debug, Serialize)]
@@ -79,10 +70,23 @@ impl CheckedIo {
 /// Checks a cell with a task: rehearses the task, computes the load of the buses, and creates all parts of a run. The
 /// run is taken to have an operator.
 pub fn check(file: &CellFile, program: &Program) -> anyhow::Result<CheckReport> {
+    check_by(file, program, rehearsal::rehearse)
+}
+
+/// Checks a cell as [`check`] does, and rehearses the task with the emulated scene too.
+pub fn check_with_scene(file: &CellFile, program: &Program) -> anyhow::Result<CheckReport> {
+    check_by(file, program, |file, program| rehearsal::rehearse_with_scene(file, program, &Arc::default()))
+}
+
+fn check_by(
+    file: &CellFile,
+    program: &Program,
+    rehearse: impl FnOnce(&CellFile, &Program) -> anyhow::Result<Rehearsed>,
+) -> anyhow::Result<CheckReport> {
     let file = &file.for_one_run();
     let program = &program.clone().with_operator(OperatorLink::new(1).0);
     let buses = budget::check(file)?;
-    let rehearsed = rehearsal::rehearse(file, program)?;
+    let rehearsed = rehearse(file, program)?;
     let warnings = file.configuration_warnings().chain(rehearsed.overloads(file)?).collect();
     assemble(file, program, &rehearsed)?;
     let robots = file.cell.robot.iter().enumerate().map(|(number, robot)| CheckedRobot {
@@ -96,7 +100,8 @@ pub fn check(file: &CellFile, program: &Program) -> anyhow::Result<CheckReport> 
         cell: file.cell.name.clone(),
         period_us: file.cell.period_us,
         robots: robots.collect(),
-        program_s: rehearsed.duration.as_secs_f64(),
+        program_s: rehearsed.duration.map(|duration| duration.as_secs_f64()),
+        with_scene_s: rehearsed.with_scene.map(|duration| duration.as_secs_f64()),
         buses,
         io: file.cell.io.iter().map(CheckedIo::of).collect(),
         problems: emulation::problems(file).map(|problem| problem.to_string()).collect(),
@@ -124,10 +129,12 @@ fn assemble(file: &CellFile, program: &Program, rehearsed: &Rehearsed) -> anyhow
     Ok(())
 }
 
-/// How the inverse kinematics of a chain works, and what its emulation lacks.
+/// How the inverse kinematics of a chain works, and what the emulation of a described robot lacks.
 fn chain(numbers: &Parameters) -> Vec<String> {
-    let Parameters::Chain(given) = numbers else {
-        return Vec::new();
+    let given = match numbers {
+        Parameters::Chain(given) => given,
+        Parameters::Own(_) => return vec!["each emulated axis moves a load of its own, without weight".to_owned()],
+        _ => return Vec::new(),
     };
     let form = Chain::new(given).expect("a parsed chain is sound").closed_form();
     let inverse = match form {
@@ -146,19 +153,9 @@ fn chain(numbers: &Parameters) -> Vec<String> {
     [inverse].into_iter().chain(masses).collect()
 }
 
-fn configurations(file: &CellFile, robot: usize) -> Vec<CheckedConfiguration> {
-    let configured = file.cell.robot[robot].axis.iter().enumerate().filter_map(|(number, axis)| {
-        let configuration = file.configuration(robot, number)?;
-        Some(CheckedConfiguration {
-            axis: axis.name.clone(),
-            file: printable(&configuration.path.display().to_string()),
-            writes: configuration.download.writes.len(),
-            defaults: configuration.download.defaults(),
-            compared: configuration.download.compared.len(),
-            left_out: configuration.download.left_out,
-        })
-    });
-    configured.collect()
+fn configurations(file: &CellFile, robot: usize) -> Vec<ConfigurationReport> {
+    let axes = file.cell.robot[robot].axis.iter().enumerate();
+    axes.filter_map(|(number, axis)| ConfigurationReport::of(file, robot, number, axis.name.clone())).collect()
 }
 
 impl fmt::Display for CheckReport {
@@ -169,17 +166,9 @@ impl fmt::Display for CheckReport {
                 writeln!(f, "  {said}")?;
             }
             for configured in &robot.configurations {
-                writeln!(
-                    f,
-                    "  axis {}: {} asks for {} writes and notes {} values more",
-                    configured.axis, configured.file, configured.writes, configured.left_out
-                )?;
-                if configured.defaults > 0 {
-                    let defaults = configured.defaults;
-                    writeln!(f, "    {defaults} writes are of defaults, made where the drive holds another value")?;
-                }
-                if configured.compared > 0 {
-                    writeln!(f, "    {} read-only values are compared with the drive", configured.compared)?;
+                for (number, line) in configured.lines().enumerate() {
+                    let indent = if number == 0 { "  " } else { "    " };
+                    writeln!(f, "{indent}{line}")?;
                 }
             }
         }
@@ -192,7 +181,12 @@ impl fmt::Display for CheckReport {
             }
             writeln!(f)?;
         }
-        writeln!(f, "programs take {:.1} s after homing", self.program_s)?;
+        if let Some(seconds) = self.program_s {
+            writeln!(f, "programs take {seconds:.1} s after homing")?;
+        }
+        if let Some(seconds) = self.with_scene_s {
+            writeln!(f, "rehearsed with the scene: {seconds:.1} s with homing")?;
+        }
         for bus in &self.buses {
             self.write_bus(f, bus)?;
         }

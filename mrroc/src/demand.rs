@@ -22,6 +22,7 @@ use servo::{MAX_AXES, Phase, Snapshot};
 
 use crate::bench::plants;
 use crate::cell::{CellFile, EmulatedPayload, Path};
+use crate::lag::{self, Lag};
 
 /// Share of a limit of the cell file from which numbers of the user are refused.
 pub(crate) const REFUSED_FROM: f64 = 1.1;
@@ -117,6 +118,9 @@ pub(crate) struct RobotDemand {
     cycles: u32,
     worst: [Option<Demand>; MAX_AXES],
     refused: Option<Demand>,
+    /// Greatest velocities of the motors, rad/s, and greatest weights at the motors, N·m.
+    fastest: Axes,
+    heaviest: Axes,
 }
 
 impl RobotDemand {
@@ -164,6 +168,8 @@ impl RobotDemand {
             cycles: 0,
             worst: Default::default(),
             refused: None,
+            fastest: [0.0; MAX_AXES],
+            heaviest: [0.0; MAX_AXES],
         }
     }
 
@@ -175,6 +181,9 @@ impl RobotDemand {
             return;
         }
         let velocities = snapshot.commanded_velocity;
+        for (greatest, velocity) in self.fastest.iter_mut().zip(velocities) {
+            *greatest = greatest.max(velocity.abs());
+        }
         let last = self.last.replace(velocities).unwrap_or(velocities);
         for ((greatest, now), last) in self.accelerations.iter_mut().zip(velocities).zip(last) {
             let acceleration = (now - last) / dt;
@@ -205,6 +214,8 @@ impl RobotDemand {
             };
             let (velocity, acceleration) = (snapshot.commanded_velocity[axis], accelerations[axis]);
             let (weight, inertia) = (-laden.torque, laden.inertia * acceleration);
+            let heaviest = &mut self.heaviest[axis];
+            *heaviest = heaviest.max(weight.abs());
             let dry = if velocity == 0.0 { 0.0 } else { config.friction.coulomb.copysign(velocity) };
             let pushed = contact.as_ref().map_or(0.0, |contact| contact.torques[axis]);
             let payload = bare.torque - laden.torque + (laden.inertia - bare.inertia) * acceleration;
@@ -275,6 +286,11 @@ impl RobotDemand {
             *torque = -force * normal.dot(&(ahead - behind)) / (2.0 * STEP);
         }
         Some(Contact { cause, torques })
+    }
+
+    /// The axes that may lag behind their set-points.
+    pub(crate) fn lags(&self, file: &CellFile) -> Vec<Lag> {
+        lag::of(file, self.robot, &self.fastest, &self.heaviest)
     }
 
     /// What exceeds a limit: a demand to refuse, and the greatest demand of each axis.

@@ -2,6 +2,7 @@
 
 use anyhow::bail;
 
+use crate::robots::{OwnRobot, register};
 use crate::tasks::{CarriedTask, Cell, Outcome, Program};
 
 /// Tasks of a program, which the whole `mrroc` command then has beside its own.
@@ -29,6 +30,17 @@ impl Extension {
     ) -> Self {
         assert!(!self.tasks().contains(&name), "two tasks are called {name:?}");
         self.tasks.push((name, Program::of(task)));
+        self
+    }
+
+    /// Makes a robot known to every command: see [`OwnRobot`].
+    ///
+    /// # Panics
+    ///
+    /// If another robot has the name.
+    #[must_use]
+    pub fn robot<T: OwnRobot>(self) -> Self {
+        register::<T>();
         self
     }
 

@@ -41,6 +41,7 @@ mod frame_order;
 pub mod guardian;
 pub mod input;
 mod inputs;
+mod lag;
 mod motions;
 #[cfg(feature = "command-line")]
 mod operator;
@@ -64,7 +65,7 @@ pub mod tasks;
 mod trace;
 pub mod wire;
 
-pub use check::check;
+pub use check::{check, check_with_scene};
 pub use controller::coordination::carry;
 #[cfg(feature = "command-line")]
 pub use extension::Extension;

@@ -1,5 +1,6 @@
 //! Motions of one robot of a cell, within the limits of its axes.
 
+use std::fmt::Display;
 use std::path::Path;
 
 use anyhow::{Context, anyhow};
@@ -8,7 +9,7 @@ use controller::generator::{
     SelectionMemory, TimeOptimal,
 };
 use controller::robot::{Arm, Space};
-use controller::trajectory_file::{JointConvention, TrajectoryFile};
+use controller::trajectory_file::{JointConvention, TrajectoryError, TrajectoryFile};
 
 use crate::cell::{CellFile, printable, smooth_pose};
 use crate::inputs::Inputs;
@@ -106,16 +107,22 @@ impl Motions {
     /// rehearsals read the file once: the file that was rehearsed is the one that is executed. Standard error tells
     /// what of the file is ignored.
     pub fn trajectory(&self, path: impl AsRef<Path>) -> anyhow::Result<Newsmooth> {
-        self.trajectory_of(path.as_ref(), None)
+        self.trajectory_of(path.as_ref(), None, &"call Motions::trajectory_in")
     }
 
     /// As [`trajectory`](Self::trajectory), with the convention of the joints of a JOINT file. Refuses a file that
     /// tells the other convention.
     pub fn trajectory_in(&self, path: impl AsRef<Path>, joints: JointConvention) -> anyhow::Result<Newsmooth> {
-        self.trajectory_of(path.as_ref(), Some(joints))
+        self.trajectory_of(path.as_ref(), Some(joints), &"")
     }
 
-    pub(crate) fn trajectory_of(&self, path: &Path, joints: Option<JointConvention>) -> anyhow::Result<Newsmooth> {
+    /// As [`trajectory`](Self::trajectory). `remedy` says where the convention of the joints can be set.
+    pub(crate) fn trajectory_of(
+        &self,
+        path: &Path,
+        joints: Option<JointConvention>,
+        remedy: &dyn Display,
+    ) -> anyhow::Result<Newsmooth> {
         let place = path.display();
         let bytes = self.inputs.read("a trajectory file of the task", path, LARGEST_TRAJECTORY);
         let bytes = bytes.with_context(|| place.to_string())?;
@@ -126,7 +133,11 @@ impl Motions {
             let place = printable(&place.to_string());
             notes.iter().for_each(|note| streams::warn(format_args!("mrroc: {place}: {note}")));
         }
-        let file = file.for_arm(&self.arm, joints).with_context(|| place.to_string())?;
+        let file = file.for_arm(&self.arm, joints).map_err(|error| match error {
+            TrajectoryError::TwoReadings(_) => anyhow!("{error}: {remedy}"),
+            error => error.into(),
+        });
+        let file = file.with_context(|| place.to_string())?;
         let motion = file.motion_of(self.arm.axes(), self.limits, self.motor_limits);
         motion.with_context(|| place.to_string())
     }

@@ -98,7 +98,7 @@ pub fn run_program(file: &CellFile, options: &ProgramOptions, program: &Program)
     };
     if let Some(why) = lost {
         streams::warn(format_args!(
-            "mrroc: the report cannot be printed: {why}. The run ended: {:?}. --out keeps a report in a directory",
+            "mrroc: the report cannot be printed: {why}. The run ended: {}. --out keeps a report in a directory",
             report.outcome
         ));
         return Ok(ExitCode::from(1));

@@ -11,11 +11,14 @@
 //! robot waits before its first motion if no rehearsal had it at its present position. The task is then rehearsed again
 //! from there. The same holds after each switching-on at a new position, and after each fault.
 //!
-//! A force sensor carries the weight of its tool in a rehearsal, and meets no contact.
+//! In a rehearsal, a force sensor carries the weight of its tool and has no contact. [`rehearse_with_scene`] rehearses
+//! the task on the emulated cell, which has contact and sensors.
 //!
 //! An error that the task handles is no refusal. A task can leave out its side effects
 //! ([`Cell::rehearsing`](crate::tasks::Cell::rehearsing)) or end the rehearsal
 //! ([`Cell::end_rehearsal`](crate::tasks::Cell::end_rehearsal)).
+
+mod scene;
 
 use std::cell::Cell;
 use std::fmt::Display;
@@ -28,15 +31,17 @@ use anyhow::anyhow;
 use can::Instant;
 use controller::ecp::EcpError;
 use controller::executor::{Ended, InstructionError, News, SystemError, Turns};
-use controller::generator::{Axes, PlannedStart};
+use controller::generator::{Axes, GeneratorError, PlannedStart};
 use drive::{AxisCommand, AxisState, BringUpError, DriveGroup, Fault, GroupCounters, Homing, Power, Setpoint};
 use servo::{PositionLoop, Servo, lockstep};
 
 use crate::cell::{CellFile, FileError, Path, instruction_path};
 use crate::demand::{self, Demand, RobotDemand};
+use crate::lag::{self, Lag};
 use crate::run::{returned, returned_after};
 use crate::tasks::{Equipment, Figures, Program, TaskError};
 use crate::{setup, streams};
+pub use scene::rehearse_with_scene;
 
 /// Greatest duration of a task.
 const LONGEST: Duration = Duration::from_secs(24 * 3600);
@@ -47,11 +52,20 @@ const BEGINNING: Duration = Duration::from_secs(600);
 /// The fault of an ideal drive: a generic error (CiA 402-2 §7.1).
 const FAULT: Fault = Fault::Drive { node: 0, code: 0x1000 };
 
-/// Time in one turn from which on a task blocks. A busy host interrupts a turn for shorter times.
+/// Least duration of one turn of a task that counts as blocking. A busy host can interrupt a turn for shorter times.
 const BLOCKED: Duration = Duration::from_millis(500);
 
-/// What a rehearsal lacks, for refusals of tasks that may depend on it.
-const LACKS: &str = "in the rehearsal, which has ideal drives, no contact, and no objects before the sensors";
+/// Text for refusals: the rehearsal lacks contact and objects, and the task may depend on them. The scene of the cell
+/// may provide some of these.
+fn lacks(file: &CellFile, extent: Extent) -> &'static str {
+    match extent {
+        Extent::Task if file.cell.scene.is_some() => {
+            "in the rehearsal, which has ideal drives, no contact, and no objects before the sensors; \
+             --rehearse-with-scene has those of the emulated scene"
+        }
+        _ => "in the rehearsal, which has ideal drives, no contact, and no objects before the sensors",
+    }
+}
 
 /// Number of rehearsed start positions beside the home position.
 const STARTS: usize = 16;
@@ -59,8 +73,10 @@ const STARTS: usize = 16;
 /// A rehearsal from the home positions.
 #[derive(Clone, Debug)]
 pub struct Rehearsed {
-    /// Duration without homing.
-    pub duration: Duration,
+    /// Duration without homing; `None` if only the rehearsal with the scene came to the end of the task.
+    pub duration: Option<Duration>,
+    /// Duration of the rehearsal with the scene, with homing.
+    pub with_scene: Option<Duration>,
     /// Number of instructions of all robots.
     pub instructions: u64,
     /// Whether a generator commanded each robot.
@@ -69,15 +85,20 @@ pub struct Rehearsed {
     pub(crate) refused: Option<Demand>,
     /// The greatest torque of each axis beyond its limit.
     pub(crate) overloads: Vec<Demand>,
-    /// Time for which the task was seen in one turn.
+    /// Axes that may lag behind their set-points.
+    pub(crate) lags: Vec<Lag>,
+    /// Longest observed duration of one turn of the task.
     pub blocked: Duration,
 }
 
 impl Rehearsed {
-    /// Warnings of axes that the task overloads by nominal numbers, or the refusal of such a task by numbers that the
-    /// user gave. Both concern emulated robots, with their payloads and their surroundings.
+    /// Warnings of axes that the task overloads, or that may lag behind, according to nominal numbers. An overload
+    /// according to numbers that the user gave is an error. Both concern emulated robots, with their payloads and their
+    /// surroundings.
     pub fn overloads(&self, file: &CellFile) -> anyhow::Result<Vec<String>> {
-        demand::judge(file, self.refused.as_ref(), &self.overloads)
+        let mut warnings = demand::judge(file, self.refused.as_ref(), &self.overloads)?;
+        warnings.extend(lag::warnings(file, &self.lags));
+        Ok(warnings)
     }
 }
 
@@ -109,9 +130,22 @@ impl Course {
 ///
 /// A task that hangs in a turn is refused, and so is a generator that hangs in a step. Their thread is left behind.
 pub fn rehearse(file: &CellFile, program: &Program) -> anyhow::Result<Rehearsed> {
+    aside(file, program, |file, program, turns| {
+        let rehearsed = from_home(file, program, turns)?;
+        beside_home(file, program, &rehearsed.moved, turns)?;
+        Ok(rehearsed)
+    })
+}
+
+/// Runs rehearsals on a separate thread, and warns of a task that blocks.
+fn aside(
+    file: &CellFile,
+    program: &Program,
+    work: impl FnOnce(&Arc<CellFile>, &Program, &Turns) -> anyhow::Result<Rehearsed> + Send + 'static,
+) -> anyhow::Result<Rehearsed> {
     let (file, program, turns) = (Arc::new(file.clone()), program.clone(), Turns::default());
     let counted = turns.clone();
-    let work = move || rehearse_all(&file, &program, &counted);
+    let work = move || work(&file, &program, &counted);
     let (rehearsed, blocked) = returned_after("rehearsal", &turns, work)?;
     let rehearsed = Rehearsed { blocked, ..rehearsed? };
     if let Some(told) = told_of_blocking(blocked) {
@@ -130,17 +164,23 @@ pub(crate) fn told_of_blocking(blocked: Duration) -> Option<String> {
     })
 }
 
-fn rehearse_all(file: &Arc<CellFile>, program: &Program, turns: &Turns) -> anyhow::Result<Rehearsed> {
-    let homes = homes(file);
-    let starts = |start: &dyn Fn(&PlannedStart) -> Axes| homes.iter().map(|home| Course::from(start(home))).collect();
-    let at_home: Vec<_> = starts(&|home| home.motors);
-    let never = AtomicBool::new(false);
-    let rehearsed = run(file, program, &at_home, Extent::Task, &never, turns)?;
+/// The courses of all robots, which begin at the positions `start`.
+fn courses(file: &CellFile, start: &dyn Fn(&PlannedStart) -> Axes) -> Vec<Course> {
+    homes(file).iter().map(|home| Course::from(start(home))).collect()
+}
+
+fn from_home(file: &Arc<CellFile>, program: &Program, turns: &Turns) -> anyhow::Result<Rehearsed> {
+    let at_home = courses(file, &|home| home.motors);
+    run(file, program, &at_home, Extent::Task, &AtomicBool::new(false), turns)
+}
+
+/// Rehearses the first motions of the robots that move, from places beside their home positions.
+fn beside_home(file: &Arc<CellFile>, program: &Program, moved: &[bool], turns: &Turns) -> anyhow::Result<()> {
     for number in 0..STARTS {
-        let beside: Vec<_> = starts(&|home| beside(home, number));
-        run(file, program, &beside, Extent::FirstMotions(&rehearsed.moved), &never, turns)?;
+        let beside = courses(file, &|home| beside(home, number));
+        run(file, program, &beside, Extent::FirstMotions(moved), &AtomicBool::new(false), turns)?;
     }
-    Ok(rehearsed)
+    Ok(())
 }
 
 /// Rehearses a task again with the present courses of the robots. Ends early, without a refusal, once the rehearsal is
@@ -154,7 +194,7 @@ pub(crate) fn rehearse_again(
     let (file, program, cancelled) = (Arc::clone(file), program.clone(), Arc::clone(cancelled));
     let turns = Turns::default();
     let counted = turns.clone();
-    let work = move || run(&file, &program, &courses, Extent::Task, &cancelled, &counted);
+    let work = move || run(&file, &program, &courses, Extent::Again, &cancelled, &counted);
     returned("rehearsal", &turns, work)?.map(|_| ())
 }
 
@@ -180,8 +220,16 @@ fn beside(home: &PlannedStart, number: usize) -> Axes {
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Extent<'a> {
     Task,
+    /// The whole task again, from where the robots stand in a run.
+    Again,
     /// The first motion of each robot that moves, for at most [`BEGINNING`].
     FirstMotions(&'a [bool]),
+}
+
+impl Extent<'_> {
+    fn is_whole(self) -> bool {
+        !matches!(self, Self::FirstMotions(_))
+    }
 }
 
 /// Rehearses a task on ideal drives, with the course of each robot.
@@ -204,7 +252,7 @@ fn run(
     }
     let (mut servo, links) = Servo::new(&config, groups.collect())?;
     let states: Vec<_> = links.iter().map(|link| link.latest.clone()).collect();
-    let judged = 0..if extent == Extent::Task { courses.len() } else { 0 };
+    let judged = 0..if extent.is_whole() { courses.len() } else { 0 };
     let mut demands: Vec<_> = judged.map(|robot| RobotDemand::of(file, robot, program.of_file)).collect();
     let dt = servo.period().as_secs_f64();
     let (mut rehearsed_sensors, sensor_links) = setup::rehearsed_sensors(file);
@@ -227,7 +275,7 @@ fn run(
     let mut faults_left: Vec<_> = courses.iter().map(|course| course.faults.iter().peekable()).collect();
     let start = lockstep::bring_up(&mut servo, Instant::ZERO, |_| {}).expect("ideal drives come up");
     let over = Cell::new(false);
-    let longest = if extent == Extent::Task { LONGEST } else { BEGINNING };
+    let longest = if extent.is_whole() { LONGEST } else { BEGINNING };
     lockstep::run(
         &mut servo,
         start,
@@ -260,7 +308,7 @@ fn run(
     );
     let duration = Duration::from_nanos(servo.counters().cycles) * servo.period().as_nanos() as u32;
     let up_to_here = |why: &dyn Display| {
-        if extent == Extent::Task {
+        if extent.is_whole() {
             let seconds = duration.as_secs_f64();
             streams::warn(format_args!("mrroc: the task is rehearsed up to {seconds:.1} s: {why}"));
         }
@@ -279,19 +327,23 @@ fn run(
             return Err(refuse_instruction(file, program, &error, extent));
         }
         Some(Ended::Task(Err(TaskError::Refused(error)))) if error.is::<FileError>() => return Err(error),
-        Some(Ended::Task(Err(TaskError::Refused(error)))) => return Err(anyhow!("{error:#} ({LACKS})")),
+        Some(Ended::Task(Err(TaskError::Refused(error)))) => {
+            return Err(anyhow!("{error:#} ({})", lacks(file, extent)));
+        }
         Some(Ended::Task(Err(error))) => return Err(error.into()),
         Some(Ended::System(error)) => return Err(error.into()),
-        None if extent == Extent::Task && !over.get() && !cancelled.load(Ordering::Relaxed) => {
+        None if extent.is_whole() && !over.get() && !cancelled.load(Ordering::Relaxed) => {
             let problem = format!("a program takes longer than {} h", LONGEST.as_secs() / 3600);
             return Err(file.refuse(&Path::to("robot"), problem));
         }
         None => {}
     }
+    let lags = demands.iter().flat_map(|demand| demand.lags(file)).collect();
     let (refused, overloads): (Vec<_>, Vec<_>) = demands.into_iter().map(RobotDemand::found).unzip();
     let (refused, overloads) = (refused.into_iter().flatten().next(), overloads.into_iter().flatten().collect());
     let (instructions, blocked) = (ended.iter().sum(), Duration::ZERO);
-    Ok(Rehearsed { duration, instructions, moved, refused, overloads, blocked })
+    let duration = Some(duration);
+    Ok(Rehearsed { duration, with_scene: None, instructions, moved, refused, overloads, lags, blocked })
 }
 
 /// The refusal of an instruction.
@@ -302,25 +354,36 @@ fn refuse_instruction(
     extent: Extent,
 ) -> anyhow::Error {
     let why = match extent {
-        Extent::Task => cause.to_string(),
+        Extent::Task | Extent::Again => cause.to_string(),
         Extent::FirstMotions(_) => {
             format!("{cause}; from beside the home position, where homing may leave the robot")
         }
     };
-    if program.of_file { of_program(file, robot, instruction, why) } else { of_task(file, robot, instruction, why) }
+    match program.of_file {
+        true => of_program(file, robot, instruction, &cause, why),
+        false => of_task(file, robot, instruction, why, extent),
+    }
 }
 
-/// The refusal of an instruction of the cell file's program.
-fn of_program(file: &CellFile, robot: usize, instruction: usize, why: String) -> anyhow::Error {
+/// The refusal of an instruction of the cell file's program. The key is that of the number where the cause has one.
+fn of_program(file: &CellFile, robot: usize, instruction: usize, cause: &EcpError, why: String) -> anyhow::Error {
     let place = file.cell.robot[robot].instruction_of(instruction).map(|index| instruction_path(robot, index));
-    file.refuse(&place.unwrap_or(Path::to("robot").then(robot)), why)
+    let key = match (place, cause) {
+        // Joint motions alone have a duration.
+        (Some(place), EcpError::Generator { error: GeneratorError::TooShort { .. }, .. }) => {
+            place.then("joints").then("duration")
+        }
+        (Some(place), _) => place,
+        (None, _) => Path::to("robot").then(robot),
+    };
+    file.refuse(&key, why)
 }
 
 /// The refusal of an instruction of a task outside a cell file.
-fn of_task(file: &CellFile, robot: usize, instruction: usize, why: String) -> anyhow::Error {
+fn of_task(file: &CellFile, robot: usize, instruction: usize, why: String, extent: Extent) -> anyhow::Error {
     let robot = &file.cell.robot[robot];
     let (name, why, number) = (&robot.name, robot.naming_axes(why), instruction + 1);
-    anyhow!("robot {name}: instruction {number} of its task: {why} ({LACKS})")
+    anyhow!("robot {name}: instruction {number} of its task: {why} ({})", lacks(file, extent))
 }
 
 /// Ideal drives, which reach a commanded position at the SYNC that latches it.
@@ -433,5 +496,30 @@ impl DriveGroup for IdealDrives {
 
     fn counters(&self) -> GroupCounters {
         GroupCounters::default()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::tasks::CarriedTask;
+
+    const IRB6: &str = include_str!("../../cells/irb6.toml");
+
+    #[test]
+    fn a_refused_duration_is_refused_with_its_key() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("cell.toml");
+        let jerk_limited = "generator = \"jerk-limited\", ";
+        let refused = |text: &str| {
+            std::fs::write(&path, text).unwrap();
+            let file = CellFile::read(&path).unwrap();
+            rehearse(&file, &CarriedTask::Programs.program()).unwrap_err().to_string()
+        };
+        let said = refused(&IRB6.replace(jerk_limited, &format!("{jerk_limited}duration = 0.01, ")));
+        assert!(said.contains(": robot[0].program[2].joints.duration: step 0: takes "), "{said}");
+        // Another cause is refused with the key of the instruction.
+        let said = refused(&IRB6.replace("position = [0.85, 0.0, 0.85]", "position = [0.85, 0.0, 9.0]"));
+        assert!(!said.contains("duration"), "{said}");
     }
 }

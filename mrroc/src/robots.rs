@@ -1,23 +1,34 @@
-//! The list of robots that a cell can name: their models, their numbers and what emulates them.
+//! The list of robots that a cell can name: their models, their numbers and their emulation.
 //!
-//! A robot keeps [`RobotParameters`] in a file of its own in `controller`. CONTRIBUTING.md has the recipe.
+//! A robot of this project keeps [`RobotParameters`] in a file of its own in `controller`. CONTRIBUTING.md has the recipe.
+//! A robot of another crate implements [`OwnRobot`], and the program registers it: [`Extension`](crate::Extension).
 
 mod chain;
+mod examination;
+mod names;
+mod own;
 
 use std::f64::consts::PI;
 use std::sync::Arc;
 
 use nalgebra::{UnitQuaternion, Vector3};
-use serde::{Deserialize, Serialize};
 
 use controller::robot::{
     ChainParameters, ConveyorParameters, GripperParameters, Irb6Parameters, Irp6Parameters, Irp6TrackParameters,
-    LinkKind, Mass, ParameterError, PolycrankParameters, Pose, RntParameters, Robot, RobotParameters,
+    PolycrankParameters, RntParameters,
 };
-use hil::plant::{ChainError, Switch};
+pub use controller::robot::{
+    Jacobian, Joints, KinematicsError, Limits, Link, LinkKind, Mass, MotorRating, Motors, ParameterError, Pose, Robot,
+    RobotParameters, Singularity, Solutions, Space,
+};
+use hil::plant::Switch;
 use hil::{AxisConfig, Irp6Axis, MechanismConfig};
 
 use crate::cell::Plant;
+pub use examination::examine;
+use own::OwnModel;
+pub(crate) use own::check as check_own;
+pub use own::{EmulatedJoint, Keys, OwnParameters, OwnRobot, register};
 
 /// Evaluates an expression on the numbers of a robot, whichever robot: `each_robot!(parameters, it => it.masses())`.
 #[macro_export]
@@ -32,14 +43,14 @@ macro_rules! each_robot {
             $crate::cell::Parameters::Gripper($it) => $value,
             $crate::cell::Parameters::Conveyor($it) => $value,
             $crate::cell::Parameters::Chain($it) => $value,
+            $crate::cell::Parameters::Own($it) => $value,
         }
     };
 }
 
 /// The models with known parameters.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-#[serde(rename_all = "kebab-case")]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema), schemars(rename_all = "kebab-case"))]
 pub enum Model {
     /// ASEA IRb-6, five axes.
     Irb6,
@@ -59,12 +70,14 @@ pub enum Model {
     Gripper,
     /// Conveyor of the WUT laboratory, one axis without end: position of the belt, m.
     Conveyor,
+    /// An [`OwnRobot`] that the program has registered.
+    #[cfg_attr(feature = "schema", schemars(skip))]
+    Own(OwnModel),
 }
 
 /// The parameters of one robot.
-#[derive(Clone, Debug, Deserialize, Serialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-#[serde(rename_all = "kebab-case")]
+#[derive(Clone, Debug)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema), schemars(rename_all = "kebab-case"))]
 pub enum Parameters {
     /// For `model = "irb6"`.
     Irb6(Irb6Parameters),
@@ -80,14 +93,17 @@ pub enum Parameters {
     Gripper(GripperParameters),
     /// For `model = "conveyor"`.
     Conveyor(ConveyorParameters),
-    /// For the key `chain`, which states them.
-    #[serde(skip)]
+    /// For the key `chain`, which states these parameters.
+    #[cfg_attr(feature = "schema", schemars(skip))]
     Chain(ChainParameters),
+    /// For the model of an [`OwnRobot`] that the program has registered.
+    #[cfg_attr(feature = "schema", schemars(skip))]
+    Own(OwnParameters),
 }
 
 impl Parameters {
     /// The key of the parameters in cell files.
-    pub const fn name(&self) -> &'static str {
+    pub fn name(&self) -> &'static str {
         match self {
             Self::Irb6(_) => "irb6",
             Self::Irp6(_) => "irp6",
@@ -97,6 +113,7 @@ impl Parameters {
             Self::Gripper(_) => "gripper",
             Self::Conveyor(_) => "conveyor",
             Self::Chain(_) => "chain",
+            Self::Own(given) => given.model(),
         }
     }
 
@@ -117,6 +134,7 @@ impl Parameters {
             Self::Gripper(it) => Self::Gripper(it.with_room_at_home(motors)),
             Self::Conveyor(it) => Self::Conveyor(it.with_room_at_home(motors)),
             Self::Chain(it) => Self::Chain(it.with_room_at_home(motors)),
+            Self::Own(it) => Self::Own(it.with_room_at_home(motors)),
         }
     }
 
@@ -145,6 +163,7 @@ impl Parameters {
             Self::Rnt(_) => axis == 2,
             Self::Irb6(_) | Self::Irp6(_) | Self::Polycrank(_) => false,
             Self::Chain(given) => given.joints.get(axis).is_some_and(|joint| joint.kind == LinkKind::Prismatic),
+            Self::Own(given) => given.is_linear(axis),
         }
     }
 
@@ -162,7 +181,8 @@ impl Parameters {
             | Self::Polycrank(_)
             | Self::Gripper(_)
             | Self::Conveyor(_)
-            | Self::Chain(_) => &[Plant::Physical],
+            | Self::Chain(_)
+            | Self::Own(_) => &[Plant::Physical],
         }
     }
 
@@ -178,14 +198,15 @@ impl Parameters {
                 at_home: given.axes.map(|axis| axis.joint_at_home),
             },
             Self::Chain(given) => return chain::mechanism(given).expect("a parsed chain has sound bodies"),
-            Self::Gripper(_) | Self::Conveyor(_) => return None,
+            Self::Gripper(_) | Self::Conveyor(_) | Self::Own(_) => return None,
         })
     }
 
-    /// What the emulated mechanism cannot take of the numbers.
-    pub(crate) fn check_mechanism(&self) -> Result<(), ChainError> {
+    /// Refuses numbers that the emulated mechanism or its motors cannot have.
+    pub(crate) fn check_mechanism(&self) -> Result<(), String> {
         match self {
-            Self::Chain(given) => chain::mechanism(given).map(|_| ()),
+            Self::Chain(given) => chain::mechanism(given).map(drop).map_err(|error| error.to_string()),
+            Self::Own(given) => given.check(),
             _ => Ok(()),
         }
     }
@@ -201,7 +222,7 @@ impl Parameters {
             Self::Irp6Track(given) => (along_z(given.robot.arm.shoulder_height), Pose::identity()),
             // The mechanism has its flange beyond the centre of the wrist.
             Self::Rnt(_) => (Pose::identity(), along_z(0.1)),
-            Self::Polycrank(_) | Self::Gripper(_) | Self::Conveyor(_) | Self::Chain(_) => {
+            Self::Polycrank(_) | Self::Gripper(_) | Self::Conveyor(_) | Self::Chain(_) | Self::Own(_) => {
                 (Pose::identity(), Pose::identity())
             }
         }
@@ -217,13 +238,14 @@ impl Parameters {
             Self::Gripper(_) => AxisConfig::gripper(),
             Self::Conveyor(_) => AxisConfig::conveyor(),
             Self::Chain(given) => chain::plant(given, number),
+            Self::Own(given) => given.plant(number).expect("the numbers of a parsed robot are sound"),
         };
         preset.with_home(home)
     }
 }
 
 impl Model {
-    /// All models.
+    /// All built-in models.
     pub const ALL: [Self; 9] = [
         Self::Irb6,
         Self::Irp6,
@@ -235,6 +257,16 @@ impl Model {
         Self::Gripper,
         Self::Conveyor,
     ];
+
+    /// All models: the built-in models, then the models that the program has registered.
+    pub fn all() -> Vec<Self> {
+        Self::ALL.into_iter().chain(OwnModel::all().into_iter().map(Self::Own)).collect()
+    }
+
+    /// The model of this name.
+    pub fn named(name: &str) -> Option<Self> {
+        Self::all().into_iter().find(|model| model.name() == name)
+    }
 
     /// The name in cell files.
     pub const fn name(self) -> &'static str {
@@ -248,11 +280,12 @@ impl Model {
             Self::Polycrank => "polycrank",
             Self::Gripper => "gripper",
             Self::Conveyor => "conveyor",
+            Self::Own(own) => own.name(),
         }
     }
 
     /// The parameters of the model.
-    pub const fn parameters(self) -> Parameters {
+    pub fn parameters(self) -> Parameters {
         match self {
             Self::Irb6 => Parameters::Irb6(Irb6Parameters::irb6()),
             Self::Irp6 => Parameters::Irp6(Irp6Parameters::irp6p()),
@@ -263,6 +296,7 @@ impl Model {
             Self::Polycrank => Parameters::Polycrank(PolycrankParameters::polycrank()),
             Self::Gripper => Parameters::Gripper(GripperParameters::two_finger()),
             Self::Conveyor => Parameters::Conveyor(ConveyorParameters::belt()),
+            Self::Own(own) => Parameters::Own(own.parameters()),
         }
     }
 }

@@ -181,6 +181,7 @@ pub fn force_sensors(file: &CellFile, links: &[WrenchLink], robots: &[EffectorLi
             lag: given.tool_lag(),
             load: given.load().expect("a parsed cell has sound tools"),
             max_offset: given.max_offsets(),
+            range: given.ranges(),
         };
         ForceTorque::new(link.clone(), robots[robot].latest.clone(), config)
     };
@@ -201,6 +202,7 @@ pub fn install_laws(file: &CellFile, servo: &mut Servo, sensors: &[ForceTorque])
             lag: given.tool_lag(),
             load: (!load.is_none()).then_some(load),
             zeroed: Some(sensor.zeroed_weight()),
+            payload: Some(sensor.payload()),
             limits: law.limits(&file.cell),
         };
         Ok(Box::new(PositionForce::new(config, sensor.link().clone())?))

@@ -124,6 +124,7 @@ fn bench(criterion: &mut Criterion, name: &str, axes: usize, position_loop: Posi
                     acceleration: None,
                     torque: [0.0; MAX_AXES],
                     law: law.then(LawParameters::default),
+                    continues_law: false,
                 };
                 link.orders.push(Order::Move(macrostep)).expect("there is room");
             }

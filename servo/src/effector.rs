@@ -272,10 +272,8 @@ impl Effector {
         self.stopped |=
             matches!(next, ServoState::Off | ServoState::Braking(_) | ServoState::Halting(_) | ServoState::Faulted);
         // A macrostep that was cut off is never continued.
-        if next != ServoState::Moving {
-            self.segment = None;
-            self.law.iter_mut().for_each(law::Installed::end);
-        }
+        let segment = if next == ServoState::Moving { None } else { self.segment.take() };
+        self.leave_law(last, next, segment.as_ref());
         // A failed reset returns to its previous phase, and is reported as well.
         self.news |= next.phase() != last.phase() || last == ServoState::Resetting;
         match (last, next) {

@@ -5,43 +5,55 @@ use std::{fmt, time::Duration};
 /// A histogram of durations from 1 ns to 10 s in three significant digits.
 ///
 /// All memory is allocated at the start, and recording neither allocates nor resizes. Durations above 10 s count as 10
-/// s.
+/// s. The number of these durations and the exact maximum are kept.
 #[derive(Clone)]
-pub struct Histogram(hdrhistogram::Histogram<u64>);
+pub struct Histogram {
+    counts: hdrhistogram::Histogram<u64>,
+    /// Number of durations above [`LONGEST`], and the longest of them.
+    beyond: (u64, Duration),
+}
 
 const LONGEST: u64 = 10_000_000_000;
 
 impl Histogram {
     /// Counts one duration.
     pub fn record(&mut self, duration: Duration) {
-        let nanos = u64::try_from(duration.as_nanos()).unwrap_or(LONGEST);
-        self.0.saturating_record(nanos.min(LONGEST));
+        let nanos = u64::try_from(duration.as_nanos()).unwrap_or(u64::MAX);
+        self.counts.saturating_record(nanos.min(LONGEST));
+        if nanos > LONGEST {
+            self.beyond = (self.beyond.0 + 1, self.beyond.1.max(duration));
+        }
     }
 
     /// Number of recorded durations.
     pub fn count(&self) -> u64 {
-        self.0.len()
+        self.counts.len()
     }
 
     /// The duration that the fraction `quantile`, 0 ..= 1, of all recorded durations does not exceed; zero without
     /// records.
     pub fn quantile(&self, quantile: f64) -> Duration {
-        Duration::from_nanos(self.0.value_at_quantile(quantile))
+        Duration::from_nanos(self.counts.value_at_quantile(quantile))
     }
 
-    /// The longest recorded duration; zero without records.
+    /// The longest recorded duration, also above 10 s; zero without records.
     pub fn max(&self) -> Duration {
-        Duration::from_nanos(self.0.max())
+        Duration::from_nanos(self.counts.max()).max(self.beyond.1)
+    }
+
+    /// Number of recorded durations above 10 s.
+    pub fn beyond(&self) -> u64 {
+        self.beyond.0
     }
 
     /// The mean of the recorded durations; zero without records.
     pub fn mean(&self) -> Duration {
-        Duration::from_nanos(self.0.mean() as u64)
+        Duration::from_nanos(self.counts.mean() as u64)
     }
 
     /// Each occupied bin's longest duration and its count, ascending.
     pub fn bins(&self) -> impl Iterator<Item = (Duration, u64)> {
-        self.0.iter_recorded().map(|bin| (Duration::from_nanos(bin.value_iterated_to()), bin.count_at_value()))
+        self.counts.iter_recorded().map(|bin| (Duration::from_nanos(bin.value_iterated_to()), bin.count_at_value()))
     }
 }
 
@@ -49,7 +61,8 @@ impl Histogram {
 impl Default for Histogram {
     fn default() -> Self {
         let histogram = hdrhistogram::Histogram::new_with_bounds(1, LONGEST, 3);
-        Self(histogram.expect("the bounds are constants that the library accepts"))
+        let counts = histogram.expect("the bounds are constants that the library accepts");
+        Self { counts, beyond: (0, Duration::ZERO) }
     }
 }
 
@@ -84,7 +97,17 @@ mod tests {
         histogram.record(Duration::ZERO);
         histogram.record(Duration::MAX);
         assert_eq!(histogram.count(), 2);
-        assert!(histogram.max() >= Duration::from_secs(10));
-        assert!(histogram.max() < Duration::from_millis(10_020));
+        assert!(histogram.quantile(1.0) >= Duration::from_secs(10));
+        assert!(histogram.quantile(1.0) < Duration::from_millis(10_020));
+    }
+
+    #[test]
+    fn the_maximum_is_true_beyond_the_bound_and_what_is_beyond_is_counted() {
+        let mut histogram = Histogram::default();
+        for seconds in [1, 10, 14, 12] {
+            histogram.record(Duration::from_secs(seconds));
+        }
+        assert_eq!((histogram.max(), histogram.beyond()), (Duration::from_secs(14), 2));
+        assert_eq!(histogram.count(), 4);
     }
 }

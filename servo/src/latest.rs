@@ -37,7 +37,7 @@ pub struct Snapshot {
     /// Motor velocities commanded in this cycle, rad/s.
     pub commanded_velocity: [f64; MAX_AXES],
     /// Displacements from the planned path by a [cycle law](crate::CycleLaw), rad; part of [`commanded`](Self::commanded).
-    /// Zero after the motion.
+    /// Zero after the motion, unless the law [keeps](crate::CycleLaw::keeps) the displacement for the next motion.
     pub displacement: [f64; MAX_AXES],
     /// Measured motor positions, rad: the effect of the commands of
     /// [`DriveGroup::delay`](drive::DriveGroup::delay) cycles before.

@@ -36,6 +36,10 @@ impl Default for LawParameters {
 /// of the next plan's start. If the law still moves the effector at the end of a motion, the effector brakes to a stand
 /// within its acceleration limits. A stop brakes from the last set-points sent, and ends the law.
 ///
+/// A law may [keep](Self::keeps) the displacement at the end of a motion. The next motion can then continue the path
+/// ([`Macrostep::continues_law`](crate::Macrostep::continues_law)). Any other motion, a stop, a fault and a
+/// power-off give up the displacement: the path then begins where the effector stands.
+///
 /// A speed override or a pause slows the interpolated path. The law runs in each cycle, and slows its own motion by
 /// [`LawInput::rate`]: a motion that a task has programmed must stop in a pause, and a motion that yields to a force must
 /// not. In a cycle that repeats its set-points because a bus refused the last batch, the law does not run and the
@@ -55,8 +59,15 @@ pub trait CycleLaw: Send {
     /// Checks the parameters of a macrostep before the macrostep begins. A fault refuses the macrostep.
     fn check(&self, parameters: &LawParameters) -> Result<(), LawFault>;
 
+    /// Whether the displacement at the end of a motion stays for a next motion with the same parameters: for laws whose
+    /// output depends on the displacement from the path, for example a spring.
+    fn keeps(&self, parameters: &LawParameters) -> bool {
+        let _ = parameters;
+        false
+    }
+
     /// Prepares the law for a motion. The servo calls this function in the cycle in which the first macrostep with a law
-    /// begins, before [`shift`](Self::shift). All displacements are zero.
+    /// begins, before [`shift`](Self::shift). The displacements are zero, or those that the law has kept.
     fn begin(&mut self, input: &LawInput<'_>, parameters: &LawParameters);
 
     /// Computes the displacements of this cycle, or ends the motion.

@@ -42,6 +42,13 @@ pub struct Macrostep {
     /// A macrostep with a law may follow one without. A macrostep without a law is refused directly after one with a law
     /// ([`StopCause::LawLeft`]), because the position would jump by the displacement. The motion has to end first.
     pub law: Option<LawParameters>,
+    /// Whether this first macrostep of a motion continues the path of the previous motion, from which the law has
+    /// displaced the effector. The path then begins at the set-point less [`Snapshot::displacement`], and the
+    /// displacement persists.
+    ///
+    /// The law must have [kept](crate::CycleLaw::keeps) the displacement, and `law` must be the law of the previous
+    /// motion. Otherwise the macrostep is refused ([`StopCause::Malformed`]).
+    pub continues_law: bool,
 }
 
 /// An order of the controller to one effector.
@@ -205,8 +212,9 @@ pub enum StopCause {
     /// A set-point that is NaN or infinite. The set-point was not sent.
     #[error("set-point is not a finite number")]
     NotFinite,
-    /// A macrostep without steps, or with `report_at` beyond its steps. The macrostep was not begun.
-    #[error("macrostep {number} has no steps or its report lies outside it")]
+    /// A macrostep without steps, with `report_at` beyond its steps, or with `continues_law` although the law has kept
+    /// no displacement. The macrostep was not begun.
+    #[error("macrostep {number} has no steps, its report lies outside it, or it continues another law")]
     Malformed { number: u64 },
     /// The next macrosteps of a team have unequal lengths. No macrostep was begun.
     #[error("macrostep {number} has {steps} periods, that of a partner {other}")]

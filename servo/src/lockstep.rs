@@ -83,6 +83,7 @@ mod tests {
                     acceleration: None,
                     torque: [0.0; MAX_AXES],
                     law: None,
+                    continues_law: false,
                 };
                 let _ = orders.push(Order::Move(macrostep));
                 if number == 200 {

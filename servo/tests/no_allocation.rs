@@ -92,6 +92,7 @@ fn moves_and_stops(config: &ServoConfig) {
             acceleration: None,
             torque: [0.0; MAX_AXES],
             law: None,
+            continues_law: false,
         };
         link.orders.push(Order::Move(macrostep)).expect("one is waiting at most");
         for _ in 0..10 {
@@ -114,6 +115,7 @@ fn moves_and_stops(config: &ServoConfig) {
         acceleration: None,
         torque: [0.0; MAX_AXES],
         law: None,
+        continues_law: false,
     };
     link.orders.push(Order::Move(last)).expect("the queue is empty");
     (0..200).for_each(|_| cycle(&mut servo));
@@ -188,6 +190,7 @@ fn laws_and_their_ends_do_not_allocate() {
                 acceleration: None,
                 torque: [0.0; MAX_AXES],
                 law: Some(LawParameters::default()),
+                continues_law: false,
             };
             let _ = links[0].orders.push(Order::Move(macrostep));
             run(&mut servo, 10);
@@ -231,6 +234,7 @@ fn teams_barriers_and_their_stops_do_not_allocate() {
         acceleration: None,
         torque: [0.0; MAX_AXES],
         law: None,
+        continues_law: false,
     };
     order(Order::Enable);
     run(&mut servo, 20);

@@ -2,11 +2,13 @@
 
 use std::collections::HashMap;
 use std::fs;
+use std::path::Path;
 use std::process::Command;
+use std::time::Duration;
 
 use ::mrroc::cell::{Cell, Plant};
 use kit::full_disk;
-use kit::mrroc::{Directory, Output, Running, example, mrroc, shorten, text};
+use kit::mrroc::{Directory, Output, Running, binary, example, mrroc, shorten, text};
 use kit::{PERIOD, by_the_clock};
 use serde_json::Value;
 
@@ -24,6 +26,21 @@ fn the_wall_clock_bench_completes_without_a_fault() {
         assert!((0.9..1.1).contains(&factor), "{report}");
         let seconds = number(&report["cycle"]["cycles"]) * 0.002;
         assert!(seconds < 60.0, "{seconds} s");
+    });
+}
+
+#[test]
+fn the_progress_bar_moves_while_a_robot_homes() {
+    by_the_clock(0.3, Duration::from_millis(500), || {
+        // A terminal.
+        let command = format!("{} run {} --task=home", binary().display(), example("irb6").display());
+        let run = Running::program(Path::new("script"), ["-qefc", &command, "/dev/null"]).output();
+        assert_eq!(run.status.code(), Some(0), "{run:?}");
+        let pictures = run.stdout.split(['\r', '\n']).filter(|picture| picture.contains("Homing"));
+        let elapsed = |picture: &str| picture.split(" [").next()?.split_whitespace().next_back().map(str::to_owned);
+        let mut times: Vec<_> = pictures.filter_map(elapsed).collect();
+        times.dedup();
+        assert!(times.len() >= 5, "{times:?}: {run:?}");
     });
 }
 

@@ -80,6 +80,10 @@ fn a_killed_run_leaves_a_recording_up_to_the_last_second() {
         assert!(!run.status().success());
         let replay = replayed(&recording);
         assert!(replay.is_equal() && replay.cut.is_some(), "{replay}");
+        // The metadata are not compressed.
+        let bytes = fs::read(&recording).unwrap();
+        let has = |text: &str| bytes.windows(text.len()).any(|it| it == text.as_bytes());
+        assert!(has("x-mrroc") && has("utc_of_zero"), "the UTC of the zero");
         // The candump log is written as soon as some frames have come, and the recording twice per second.
         assert!(replay.end_s >= written - 1.0, "{replay:?}: {written} s are in the log");
     });

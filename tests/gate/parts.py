@@ -34,7 +34,8 @@ def gate_part():
 
 
 def format_part():
-    outside = ["tests/peers/rust/Cargo.toml", "tests/outside/Cargo.toml", "tests/sanitized/Cargo.toml"]
+    outside = ["tests/peers/rust/Cargo.toml", "tests/outside/Cargo.toml", "tests/sanitized/Cargo.toml",
+               "examples/five-bar/Cargo.toml"]
     return Part(
         "format", "build", Command("cargo", "fmt", "--all", "--check"),
         *[Command("cargo", "fmt", "--manifest-path", manifest, "--check") for manifest in outside],

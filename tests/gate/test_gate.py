@@ -78,7 +78,8 @@ class Tests(unittest.TestCase):
         results = self.results(
             '{ "type": "suite", "event": "started", "test_count": 2 }',
             '{ "type": "test", "event": "started", "name": "one" }',
-            'said before{ "type": "test", "name": "one", "event": "ok", "exec_time": 1.5, "stdout": "left out: vcan (one)\\n" }',
+            'said before{ "type": "test", "name": "one", "event": "ok", "exec_time": 4.0, "stdout": '
+            '"waited 1.500 s for processors\\nwaited 1.000 s for processors\\nleft out: vcan (one)\\n" }',
             '{ "type": "test", "name": "two", "event": "failed", "exec_time": 0.5, "stdout": "why" }',
             '{ "type": "suite", "event": "failed", "passed": 1, "failed": 1 }',
         )

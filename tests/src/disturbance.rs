@@ -11,7 +11,7 @@ use std::fmt;
 use std::fs;
 use std::io::{self, Write};
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::{self, JoinHandle};
@@ -39,6 +39,9 @@ const STORM: Duration = Duration::from_secs(10);
 const LOOK: Duration = Duration::from_millis(10);
 const LOOKS: u32 = 5;
 
+/// Readings of the accounts between two searches for workers of the kernel.
+const SEARCH: u32 = 20;
+
 /// Unit of the stolen time in `/proc/stat`.
 const TICK: Duration = Duration::from_millis(10);
 
@@ -53,6 +56,9 @@ pub struct Evidence {
     /// Time between two readings of the accounts during which a thread of a program waited for a processor. The value is
     /// `None` where the kernel has no such account.
     pub waited: Option<Duration>,
+    /// Time between two readings during which a worker of the kernel waited for a processor. Workers carry the bytes of
+    /// pseudo-terminals, with less priority than the programs of a test.
+    pub worker: Duration,
     /// Time that the hypervisor took from all processors between two readings, less a tick.
     pub stolen: Duration,
     /// Lateness of a servo cycle, by a cause of the host, in the report of a run.
@@ -70,7 +76,8 @@ impl Evidence {
 
     /// Whether the host held the run back for at least the time that the run does not bear.
     pub fn disturbs(&self, unbearable: Duration) -> bool {
-        [self.late, self.waited.unwrap_or_default(), self.stolen, self.cycle].into_iter().any(|time| time >= unbearable)
+        let times = [self.late, self.waited.unwrap_or_default(), self.worker, self.stolen, self.cycle];
+        times.into_iter().any(|time| time >= unbearable)
     }
 
     /// The greater of each delay.
@@ -78,6 +85,7 @@ impl Evidence {
         Self {
             late: self.late.max(other.late),
             waited: self.waited.max(other.waited),
+            worker: self.worker.max(other.worker),
             stolen: self.stolen.max(other.stolen),
             cycle: self.cycle.max(other.cycle),
         }
@@ -86,13 +94,14 @@ impl Evidence {
 
 impl fmt::Display for Evidence {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { late, waited, stolen, cycle } = self;
+        let Self { late, waited, worker, stolen, cycle } = self;
         write!(f, "the observer woke up to {late:.1?} late, ")?;
         match waited {
             Some(waited) => write!(f, "a thread waited {waited:.1?} for a processor, ")?,
             None => write!(f, "this kernel has no account of waits for a processor, ")?,
         }
-        write!(f, "{stolen:?} were stolen at once, a cycle was late by {cycle:.1?} because of the host")
+        write!(f, "a worker of the kernel {worker:.1?}, {stolen:?} were stolen at once, ")?;
+        write!(f, "a cycle was late by {cycle:.1?} because of the host")
     }
 }
 
@@ -143,6 +152,7 @@ pub fn judged<T>(unbearable: Duration, mut run: impl FnMut(usize) -> (Result<T, 
         let line = format!(
             "{name}: {NEGATIVE} {number} of at most {RUNS} {verdict}, {unbearable:?} is unbearable: {evidence}\n"
         );
+        print!("{line}");
         // Also in the output of a test that passes, which the test runner does not show.
         let _ = io::stderr().write_all(line.as_bytes());
         if !repeated {
@@ -218,8 +228,8 @@ impl Observer {
                     late = late.max(clock::now().since(due));
                 }
                 let processes = observed.processes().clone();
-                let (waited, stolen) = accounts.read(&processes);
-                observed.add(Evidence { late, waited, stolen, ..Evidence::default() });
+                let account = accounts.read(&processes);
+                observed.add(Evidence { late, ..account });
             }
         });
         let before = CURRENT.replace(Some(Arc::clone(&observation)));
@@ -237,14 +247,18 @@ impl Observer {
 /// The accounts of the kernel at the last reading.
 #[derive(Default)]
 struct Accounts {
-    /// Time that each thread has waited for a processor, ns.
+    /// Time that each thread of the programs has waited for a processor, ns.
     waited: HashMap<PathBuf, u64>,
+    /// The same for the workers of the kernel.
+    workers: HashMap<PathBuf, u64>,
+    /// Readings until the next search for workers.
+    search: u32,
     stolen: Option<u64>,
 }
 
 impl Accounts {
-    /// The longest wait of a thread, and the stolen time, since the last reading.
-    fn read(&mut self, processes: &[u32]) -> (Option<Duration>, Duration) {
+    /// The longest waits of a thread and of a worker, and the stolen time, since the last reading.
+    fn read(&mut self, processes: &[u32]) -> Evidence {
         let mut longest = None::<Duration>;
         let own = std::process::id();
         let mut open = processes.to_vec();
@@ -255,17 +269,47 @@ impl Accounts {
                     let children = fs::read_to_string(thread.join("children")).unwrap_or_default();
                     open.extend(children.split_whitespace().filter_map(|child| child.parse::<u32>().ok()));
                 }
-                let account = fs::read_to_string(thread.join("schedstat")).unwrap_or_default();
-                let Some(waited) = account.split(' ').nth(1).and_then(|waited| waited.parse().ok()) else { continue };
+                let Some(waited) = waited(&thread) else { continue };
                 let before = self.waited.insert(thread, waited).unwrap_or(0);
                 longest = longest.max(Some(Duration::from_nanos(waited.saturating_sub(before))));
             }
         }
+        Evidence { waited: longest, worker: self.worker(), stolen: self.stolen(), ..Evidence::default() }
+    }
+
+    fn worker(&mut self) -> Duration {
+        if self.search == 0 {
+            self.search = SEARCH;
+            for process in fs::read_dir("/proc").into_iter().flatten().flatten() {
+                let process = process.path();
+                let name = fs::read_to_string(process.join("comm")).unwrap_or_default();
+                if name.starts_with("kworker") && !self.workers.contains_key(&process) {
+                    self.workers.insert(process.clone(), waited(&process).unwrap_or(0));
+                }
+            }
+        }
+        self.search -= 1;
+        let mut longest = 0;
+        self.workers.retain(|process, before| {
+            let Some(waited) = waited(process) else { return false };
+            longest = longest.max(waited.saturating_sub(*before));
+            *before = waited;
+            true
+        });
+        Duration::from_nanos(longest)
+    }
+
+    fn stolen(&mut self) -> Duration {
         let stat = fs::read_to_string("/proc/stat").unwrap_or_default();
         let ticks = stat.lines().next().and_then(|all| all.split_whitespace().nth(8)?.parse::<u64>().ok());
         let before = self.stolen.replace(ticks.unwrap_or(0)).unwrap_or(ticks.unwrap_or(0));
         // The last tick may consist of many short times.
-        let stolen = TICK * ticks.unwrap_or(0).saturating_sub(before).saturating_sub(1).try_into().unwrap_or(u32::MAX);
-        (longest, stolen)
+        TICK * ticks.unwrap_or(0).saturating_sub(before).saturating_sub(1).try_into().unwrap_or(u32::MAX)
     }
+}
+
+/// Time that a thread, a directory of `/proc`, has waited for a processor, ns. `None` where the kernel has no such
+/// account, and for a thread that has ended.
+fn waited(thread: &Path) -> Option<u64> {
+    fs::read_to_string(thread.join("schedstat")).ok()?.split(' ').nth(1)?.parse().ok()
 }

@@ -56,6 +56,7 @@ impl Motion {
             acceleration: None,
             torque: [0.0; MAX_AXES],
             law: None,
+            continues_law: false,
         }
     }
 

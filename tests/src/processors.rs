@@ -9,6 +9,8 @@ use std::process::{Command, Stdio};
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::{env, fs, thread};
 
+use can::clock;
+
 use crate::mrroc;
 
 /// The share of a test that cannot bear other tests.
@@ -90,7 +92,10 @@ pub fn take(processors: f64) -> Share<'static> {
         let count = thread::available_parallelism().map_or(1, std::num::NonZero::get);
         Budget::new(((count as f64 - RESERVE) * 100.0) as u32)
     });
+    let began = clock::now();
     let share = budget.take(processors);
+    // Read by `tests/run`, which leaves this time out of the duration of the test.
+    println!("waited {:.3} s for processors", clock::now().since(began).as_secs_f64());
     precede();
     share
 }

@@ -42,14 +42,19 @@ pub fn replays_whole(run: &Output, recording: &Path) -> Replay {
     replay
 }
 
-/// The start of the recording `bytes` up to its first chunk, and then a chunk of LZ4 that decompresses to `size` bytes of
-/// zeros, of which its header says `declared`.
+/// The recording `bytes` with a chunk of LZ4 in front of its first messages. The chunk decompresses to `size` bytes of zeros,
+/// and its header says `declared`.
 pub fn bomb(bytes: &[u8], size: u64, declared: u64) -> Vec<u8> {
     const CHUNK: u8 = 0x06;
-    let mut at = 8;
-    while bytes[at] != CHUNK {
-        at += 9 + u64::from_le_bytes(bytes[at + 1..at + 9].try_into().expect("8 bytes")) as usize;
-    }
+    let behind = |at: usize| at + 9 + u64::from_le_bytes(bytes[at + 1..at + 9].try_into().expect("8 bytes")) as usize;
+    let chunk_from = |mut at: usize| {
+        while bytes[at] != CHUNK {
+            at = behind(at);
+        }
+        at
+    };
+    // The first chunk declares the channels.
+    let at = chunk_from(behind(chunk_from(8)));
     // A frame of blocks of 4 MiB. A block is a zero, and a match that repeats the zero.
     let mut frame = vec![0x04, 0x22, 0x4D, 0x18, 0x60, 0x70, 0x73];
     let (block, repeated) = (4_u64 << 20, (4_usize << 20) - 1 - 5 - 4 - 15);
@@ -71,5 +76,5 @@ pub fn bomb(bytes: &[u8], size: u64, declared: u64) -> Vec<u8> {
     chunk.extend(b"lz4");
     chunk.extend((frame.len() as u64).to_le_bytes());
     chunk.extend(frame);
-    [&bytes[..at], &[CHUNK], &(chunk.len() as u64).to_le_bytes(), &chunk].concat()
+    [&bytes[..at], &[CHUNK], &(chunk.len() as u64).to_le_bytes(), &chunk, &bytes[at..]].concat()
 }

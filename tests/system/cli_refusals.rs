@@ -1,8 +1,9 @@
 //! Refusals of `mrroc`: one line that names the problem, its place and its cause; exit status 2; no motion.
 
 use std::path::Path;
+use std::process::Command;
 
-use kit::mrroc::{Directory, Output, enables, example, mrroc, text, trace};
+use kit::mrroc::{Directory, Output, binary, enables, example, mrroc, text, trace};
 use kit::refusals::refused;
 
 pub(crate) fn run_in_lockstep(cell: &Path, log: &Path) -> Output {
@@ -198,4 +199,18 @@ fn each_bus_has_one_interface_and_each_interface_one_bus() {
     let link = format!("--slcan=forearm={}", directory.path("tty").display());
     let emulate = ["emulate", "--can=upper=can1", &link].map(AsRef::as_ref);
     refused(&mrroc(emulate.into_iter().chain([cell.as_os_str()])), &["bus upper: can1: "]);
+}
+
+#[test]
+fn the_variable_of_a_guardian_ends_no_command_in_silence() {
+    for value in ["", "1", "x", "99"] {
+        let run = Command::new(binary()).arg("--version").env("MRROC_GUARDIAN", value).output().unwrap();
+        let said = String::from_utf8(run.stderr).unwrap();
+        assert_eq!(run.status.code(), Some(2), "{value:?}: {said}");
+        assert!(
+            said.contains("MRROC_GUARDIAN is set, but no controller has started this process"),
+            "{value:?}: {said}"
+        );
+        assert!(said.contains("unset it"), "{value:?}: {said}");
+    }
 }

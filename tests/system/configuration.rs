@@ -64,9 +64,16 @@ fn the_published_data_sheet_is_the_one_the_command_prints() {
     Eds::read(sheet().as_bytes()).unwrap();
     let nobody = mrroc(["eds".as_ref(), cell.as_os_str(), "elbow".as_ref()]);
     refused(&nobody, &["no axis is called \"elbow\"", "irb6.column (node 1)"]);
-    // The column of the IRb-6 is on a serial line.
-    let two = mrroc(["eds".as_ref(), example("lab").as_os_str(), "column".as_ref()]);
-    refused(&two, &["more than one axis is called \"column\"", "irp6-track.column (node"]);
+    let serial = mrroc(["eds".as_ref(), example("irb6-serial").as_os_str(), "column".as_ref()]);
+    refused(&serial, &["irb6-serial.toml: the cell has no drive on CAN"]);
+    assert!(!serial.stderr.contains("there are"), "{serial:?}");
+    // The IRb-6 has a column and a wrist roll too, on serial lines.
+    let one = mrroc(["eds".as_ref(), example("lab").as_os_str(), "column".as_ref()]);
+    assert_eq!(one.status.code(), Some(0), "{one:?}");
+    let two = mrroc(["eds".as_ref(), example("lab").as_os_str(), "wrist-roll".as_ref()]);
+    let both = "more than one axis is called \"wrist-roll\" with a drive on CAN: irp6-track.wrist-roll (node 2), \
+                rnt.wrist-roll (node 4)\n";
+    refused(&two, &[both]);
 }
 
 #[test]
@@ -136,7 +143,7 @@ fn a_dcf_is_in_the_drive_before_it_is_switched_on() {
     }
 
     let check = mrroc(["check".as_ref(), cell.as_os_str()]);
-    let line = "motor.dcf asks for 4 writes and notes 1 values more";
+    let line = "motor.dcf asks for 4 writes and notes 1 value more";
     assert!(check.stdout.contains(line), "{check:?}");
 }
 
@@ -280,9 +287,11 @@ fn what_belongs_to_the_driver_is_refused_in_a_dcf_by_line_and_name() {
         let at = text.find(&format!("[{section}]\n")).unwrap();
         text[..at].matches('\n').count() + 2
     };
-    let others = format!("the same holds for 2 further lines: {}, {}", line_of("6065"), line_of("60C2sub1"));
+    let told = |section: &str, object: &str| format!("{}: {object}", line_of(section));
+    let others = [told("6065", "0x6065:00"), told("60C2sub1", "0x60c2:01")];
     let check = mrroc(["check".as_ref(), cell.as_os_str()]);
-    refused(&check, &[&format!("motor.dcf:{line}: 0x6007:00"), &others]);
+    refused(&check, &[&format!("motor.dcf:{line}: 0x6007:00"), &others[0], &others[1]]);
+    assert!(!check.stderr.contains("0x6085:00"), "{check:?}");
 }
 
 #[test]
@@ -302,20 +311,18 @@ fn all_that_is_wrong_in_a_dcf_is_told_at_once() {
         text[..at].matches('\n').count() + 1
     };
     let mapping = ["0x60400010", "0x607A0020", "0x60FF0020"].map(|value| line_of(&format!("ParameterValue={value}")));
+    let [first, second, third] = mapping;
     let others = format!(
-        "0x1600:00 belongs to the driver: the driver maps the process data; remove its ParameterValue, or set bit 0 of its \
-         ObjFlags to keep it as a note; the same holds for 4 further lines: {}, {}, {}, {}",
-        mapping[0],
-        mapping[1],
-        mapping[2],
-        line_of("ParameterValue=0\n"),
+        "0x1600:00 belongs to the driver: the driver maps the process data; the same holds for 3 further lines: \
+         {first}, {second}, {third}",
     );
+    let silence = format!("{}: 0x6007:00", line_of("ParameterValue=0\n"));
     let value = format!("{}: out of range; 0 to 4294967295 fit", line_of("ParameterValue=0x100000000"));
     let file = format!("{}: 0x6068:00 is to be written from a file", line_of("DownloadFile"));
     let directory = Directory::new();
     let cell = cell(&directory, &text, |_| {});
     let check = mrroc(["check".as_ref(), cell.as_os_str()]);
-    refused(&check, &[&others, &value, &file, "`mrroc dcf strip`"]);
+    refused(&check, &[&others, &silence, &value, &file, "`mrroc dcf strip`"]);
 }
 
 #[test]
@@ -339,8 +346,8 @@ fn read_only_values_are_compared_and_defaults_are_written_where_the_drive_differ
     let check = mrroc(["check".as_ref(), cell.as_os_str()]);
     assert_eq!(check.status.code(), Some(0), "{check:?}");
     for line in [
-        "motor.dcf asks for 2 writes and notes 1 values more",
-        "1 writes are of defaults, made where the drive holds another value",
+        "motor.dcf asks for 2 writes and notes 1 value more",
+        "1 write is of a default, made where the drive holds another value",
         "2 read-only values are compared with the drive",
     ] {
         assert!(check.stdout.contains(line), "{line}: {check:?}");
@@ -370,6 +377,44 @@ fn a_flaw_on_which_no_value_depends_is_a_warning() {
         let warning = format!("motor.dcf:{line}: out of range; -2147483648 to 2147483647 fit; no value depends on it");
         assert!(run.stderr.contains(&warning), "{run:?}");
     }
+}
+
+#[test]
+fn report_and_page_of_a_run_say_what_a_dcf_asks_for_and_what_is_flawed_in_it() {
+    let (text, line) = dcf(&[
+        ("6064", "HighLimit=0x100000000"),
+        ("6041", "ParameterValue=0x0637"),
+        ("1018sub4", "ParameterValue=0"),
+        ("6068", "ParameterValue=0x7B"),
+    ]);
+    let directory = Directory::new();
+    let cell = cell(&directory, &text, |_| {});
+    let run = |json: bool| {
+        let out = directory.path(if json { "json" } else { "text" });
+        let words = ["run".as_ref(), cell.as_os_str(), "--bench".as_ref(), "lockstep".as_ref()];
+        let words = words.into_iter().chain(["--out".as_ref(), out.as_os_str()]);
+        let run = mrroc(words.chain(json.then_some("--json".as_ref())));
+        assert_eq!(run.status.code(), Some(0), "{run:?}");
+        (run, fs::read_to_string(out.join("report.html")).unwrap())
+    };
+    let flaw = format!("motor.dcf:{line}: out of range; -2147483648 to 2147483647 fit; no value depends on it");
+    let (json, page) = run(true);
+    let report = &json.json()["configurations"];
+    assert_eq!(report.as_array().map(Vec::len), Some(1), "{json:?}");
+    let of_axis = &report[0];
+    assert_eq!(of_axis["axis"], "column");
+    assert!(of_axis["file"].as_str().unwrap().ends_with("motor.dcf"), "{of_axis}");
+    for (key, count) in [("writes", 1), ("defaults", 0), ("compared", 1), ("left_out", 1)] {
+        assert_eq!(of_axis[key], count, "{key}: {of_axis}");
+    }
+    assert!(of_axis["warnings"][0].as_str().unwrap().ends_with(&flaw), "{of_axis}");
+    let asked = "motor.dcf asks for 1 write and notes 1 value more; 1 read-only value is compared with the drive";
+    for said in [asked, &flaw, "1 of 1 read-only values differ from the device configuration file"] {
+        assert!(page.contains(said), "{said}: {page}");
+    }
+    let (printed, _) = run(false);
+    assert!(printed.stdout.contains(asked), "{printed:?}");
+    assert!(printed.stderr.contains(&flaw), "{printed:?}");
 }
 
 #[test]

@@ -95,6 +95,7 @@ fn step(distance: f64) -> (Vec<i32>, usize) {
         acceleration: None,
         torque: [0.0; servo::MAX_AXES],
         law: None,
+        continues_law: false,
     }));
     let samples = (0..10).map(|_| {
         rig.cycle();

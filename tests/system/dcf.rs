@@ -45,7 +45,7 @@ fn a_stripped_file_is_accepted_by_the_cell_and_names_each_line_that_is_gone() {
     let after = cell(&directory, &written, |_| {});
     let check = mrroc(["check".as_ref(), after.as_os_str()]);
     assert_eq!(check.status.code(), Some(0), "{check:?}");
-    assert!(check.stdout.contains("1 read-only values are compared"), "{check:?}");
+    assert!(check.stdout.contains("1 read-only value is compared"), "{check:?}");
     for value in ["ParameterValue=-2000000000\n", "ParameterValue=50000\n", "ParameterValue=0x0637\n"] {
         assert!(written.contains(value), "{value}");
     }

@@ -30,6 +30,9 @@ fn a_delay_of_a_period_disturbs_and_a_shorter_one_does_not() {
         (of(0, Some(0), 1999), false),
         (of(0, None, 0), false),
         (of(2000, None, 0), true),
+        // A worker of the kernel, which carries the bytes of pseudo-terminals.
+        (Evidence { worker: us(2000), ..Evidence::default() }, true),
+        (Evidence { worker: us(1999), ..Evidence::default() }, false),
         // Delays do not add up.
         (of(1999, Some(1999), 1999), false),
     ] {

@@ -351,6 +351,7 @@ fn what_may_not_be_commanded_never_reaches_the_bus() {
             acceleration: None,
             torque: [0.0; MAX_AXES],
             law: None,
+            continues_law: false,
         };
         spoil(&mut step);
         rig.order(Order::Move(step));

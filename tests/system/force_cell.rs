@@ -11,7 +11,7 @@ use kit::mrroc::{Directory, example};
 
 #[path = "../../examples/push_until.rs"]
 #[expect(dead_code, reason = "the program of the example has a main of its own")]
-mod push_until;
+pub(crate) mod push_until;
 
 /// The example cells: with the sensor on a serial line, and on the CAN bus of the drives.
 const CELLS: [&str; 2] = ["irb6-wrist", "irb6-can-wrist"];

@@ -5,7 +5,9 @@ use std::time::Duration;
 
 use ::mrroc::bench::BenchKind;
 use ::mrroc::cell::{Cell, CellFile};
-use ::mrroc::prelude::{Compliance, Direction, ForceTask, Generator, Guard, Outcome, RunOutcome, Wait, join};
+use ::mrroc::prelude::{
+    Compliance, Direction, ForceTask, Generator, Guard, LineLimits, Outcome, RunOutcome, StraightLine, Wait, join,
+};
 use ::mrroc::report::RunReport;
 use ::mrroc::tasks;
 use controller::robot::Joints;
@@ -274,6 +276,83 @@ fn the_force_of_a_contact_is_the_same_at_each_speed_and_in_a_pause() {
             }
         }
     }
+}
+
+/// Stiffness of the spring of an admittance, N/m: that of the third block.
+const SPRING: f64 = 3000.0;
+
+/// A line ends 2 mm inside the third block under an admittance. Two waits follow, and a line that ends 20 mm above the
+/// block. `between`: a wait without a law stands between the first line and the waits.
+async fn spring_over_instructions(cell: &mut tasks::Cell, between: bool) -> Outcome {
+    let mut irb6 = cell.robot("irb6")?;
+    let wrist = cell.force_sensor("wrist")?;
+    let observer = irb6.observer();
+    irb6.enable().await?;
+    irb6.home().await?;
+    let ([x, y, _], surface) = cell.file().cell.scene.as_ref().map_or(([0.0; 3], 0.0), |scene| {
+        let block = &scene.block[2];
+        (block.centre, block.centre[2] + block.size[2] / 2.0)
+    });
+    irb6.execute(irb6.motions().joints(0.8, &[[y.atan2(x), -1.571, 0.0, std::f64::consts::FRAC_PI_2, 0.0]])?).await?;
+    let limits = LineLimits {
+        max_velocity: 0.02,
+        max_acceleration: 0.5,
+        max_jerk: 20.0,
+        max_angular_velocity: 0.5,
+        max_angular_acceleration: 5.0,
+        max_angular_jerk: 100.0,
+    };
+    let pose = observer.image()?.commanded.pose;
+    let (arm, joints) = (irb6.motions().arm().clone(), irb6.motions().limits());
+    let at = |above: f64| {
+        let mut pose = pose;
+        pose.translation.z = surface + above;
+        pose
+    };
+    let line = |above: f64| StraightLine::new(arm.clone(), at(above), limits, joints);
+    irb6.execute(line(0.01)?).await?;
+    cell.sleep(Duration::from_millis(300)).await;
+    wrist.zero().await?;
+    let mut task = ForceTask::default();
+    task.directions[2] = Direction::Admittance { stiffness: SPRING, compliance: Compliance::LINEAR };
+    let wait = Wait { duration: Duration::from_secs(3) };
+    irb6.execute(line(-0.002)?.under(task)).await?;
+    if between {
+        irb6.execute(Wait { duration: Duration::from_millis(100) }).await?;
+    }
+    for name in ["first_n", "second_n"] {
+        irb6.execute(wait.under(task)).await?;
+        cell.figure(name, wrist.in_tool()?.force.z.abs());
+    }
+    irb6.execute(line(0.02)?.under(task)).await?;
+    irb6.execute(wait.under(task)).await?;
+    let error = observer.image()?.commanded.pose.translation.vector - at(0.02).translation.vector;
+    cell.figure("off_path_mm", 1e3 * error.norm());
+    irb6.disable().await
+}
+
+#[test]
+fn the_spring_of_an_admittance_keeps_force_and_path_from_one_instruction_to_the_next() {
+    let task = async |cell: &mut tasks::Cell| spring_over_instructions(cell, false).await;
+    let report = ::mrroc::run(&cell("irb6-force", |_| {}), BenchKind::Lockstep, task).unwrap();
+    completed(&report);
+    println!("{:?}", report.figures);
+    // Two springs in series share 2 mm: 3 N. A count of the sensor is 0.087 N, and its residual moves the spring.
+    for name in ["first_n", "second_n"] {
+        assert!((report.figures[name] - 3.0).abs() < 0.25, "{name}: {:?}", report.figures);
+    }
+    assert!(report.figures["off_path_mm"] < 0.1, "{:?}", report.figures);
+}
+
+#[test]
+fn an_instruction_without_a_law_gives_up_the_displacement_of_the_spring() {
+    let task = async |cell: &mut tasks::Cell| spring_over_instructions(cell, true).await;
+    let report = ::mrroc::run(&cell("irb6-force", |_| {}), BenchKind::Lockstep, task).unwrap();
+    completed(&report);
+    println!("{:?}", report.figures);
+    // The spring begins anew where the arm stands, and yields to the force that is there.
+    assert!(report.figures["first_n"] < 2.5, "{:?}", report.figures);
+    assert!((report.figures["second_n"] - report.figures["first_n"]).abs() < 0.3, "{:?}", report.figures);
 }
 
 #[test]

@@ -30,6 +30,7 @@ fn beyond_every_limit(rig: &mut Rig, _: &Watcher) {
         acceleration: None,
         torque: [0.0; MAX_AXES],
         law: None,
+        continues_law: false,
     }));
 }
 

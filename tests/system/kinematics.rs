@@ -103,11 +103,14 @@ fn forward_inverse_and_motors_agree_for_every_robot() {
 
 #[test]
 fn forward_answers_beyond_a_limit_without_motors_and_says_which() {
-    let found = answer("fk --robot rnt --joints 0.2,-0.1,1.3,0,0.5,0");
+    let joints = "--robot rnt --joints 0.2,-0.1,1.3,0,0.5,0";
+    let found = answer(&format!("fk {joints}"));
     assert!(found["motors"].is_null() && !found["position"].is_null(), "{found}");
     let note = "no motors: axis 2: joint at 1.300000 is beyond its limit 1.200000 (rad, or m of a linear joint)";
-    let notes = found["notes"].as_array().unwrap();
-    assert!(notes.iter().any(|found| found == note), "{notes:?}");
+    for found in [found, answer(&format!("jacobian {joints}"))] {
+        let notes = found["notes"].as_array().unwrap();
+        assert!(notes.iter().any(|found| found == note), "{notes:?}");
+    }
 }
 
 #[test]
@@ -238,7 +241,7 @@ fn the_polycranks_description_stands_on_the_floor_with_axis_1_level() {
 fn questions_without_an_answer_are_refused_in_one_line() {
     let unit = "--quaternion 1,0,0,0";
     let known = format!("\"nosuch\", only {}", Model::ALL.map(Model::name).join(", "));
-    let cases: [(&str, &str); 25] = [
+    let cases: [(&str, &str); 24] = [
         ("fk --robot nosuch --joints 1", &known),
         ("fk --robot irb6 --joints 1,2", "--joints: 2 positions, and irb6 has 5 axes"),
         ("fk --robot polycrank --joints 1,2,3,4,5,6,7,8,9", "--joints: 9 positions"),
@@ -253,17 +256,13 @@ fn questions_without_an_answer_are_refused_in_one_line() {
         ("ik --robot irp6 --position 0.8,0,0 --quaternion 1,0,0,inf", "\"inf\" is not finite"),
         ("ik --robot irp6 --position 3,0,0", "out of reach"),
         ("ik --robot rnt --position 0,0,3", "axis 2: joint at 2.800000 is beyond its limit 1.200000"),
-        ("ik --robot rnt --position 0,0,1.1", "axis 3 is undetermined 0.0e0"),
         ("ik --robot irb6 --position 3,0,0.5 --quaternion 0,1,0,0", "1.876837 m out of reach"),
         ("ik --robot irb6 --position 0,0,1 --quaternion 0,1,0,0", "axis 0 is undetermined 0.0e0 from a singular pose"),
         ("ik --robot irp6-calibrated --position 3,0,0.5 --quaternion 0,1,0,0", "1.721342 m out of reach"),
         ("ik --robot irp6-track --position 0,3,0.5 --quaternion 0,1,0,0", "m out of reach"),
         ("ik --robot irp6-track-calibrated --position 0,3,0.5 --quaternion 0,1,0,0", "m out of reach"),
         ("ik --robot polycrank --position 3,0.2,0.8 --quaternion 0.9,0.1,0.3,0.3", "m out of reach"),
-        (
-            "ik --robot polycrank --position 3,0,0.5 --quaternion 0,1,0,0",
-            "axis 2 is undetermined 0.0e0 from a singular pose",
-        ),
+        ("ik --robot polycrank --position 3,0,0.5 --quaternion 0,1,0,0", "m out of reach"),
         ("ik --robot gripper --position 0.2,0,0", "axis 0: joint at 0.200000 is beyond its limit 0.091000"),
         ("ik --robot conveyor --position 0.2,0.1,0", "0.100000 m and 0.000000 rad off the only axis"),
         ("fk --robot conveyor --joints nan", "--joints: \"nan\" is not finite"),
@@ -277,6 +276,28 @@ fn questions_without_an_answer_are_refused_in_one_line() {
         refused(&ask(&words), &[needle]);
     }
     refused(&mrroc(["urdf", "--robot", "nosuch"]), &["only irb6"]);
+}
+
+#[test]
+fn a_singular_pose_as_it_is_printed_is_answered_near_the_posture() {
+    for (robot, joints) in [
+        ("irp6", "0.4,-1.4,0.2,0.3,0,-0.5"),
+        ("irp6-track", "0.2,0.4,-1.4,0.2,0.3,0,-0.5"),
+        ("rnt", "0.1,-0.2,1.0,0.4,0,0.3"),
+        ("polycrank", "0.3,1.0,0.2,0.4,1.0,-1.4,0.5"),
+    ] {
+        let pose = answer(&format!("fk --robot {robot} --joints={joints}"));
+        let digits = |name: &str| {
+            let numbers = numbers(&pose[name]).into_iter().map(|number| format!("{number:.9}"));
+            numbers.collect::<Vec<_>>().join(",")
+        };
+        let (position, quaternion) = (digits("position"), digits("quaternion"));
+        let words = format!("ik --robot {robot} --position={position} --quaternion={quaternion} --near={joints}");
+        let found = numbers(&answer(&words)["solutions"][0]);
+        for (found, near) in found.iter().zip(joints.split(',')) {
+            assert!((found - near.parse::<f64>().unwrap()).abs() < 1e-6, "{robot}: {found} near {near}");
+        }
+    }
 }
 
 #[test]

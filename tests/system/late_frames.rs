@@ -31,6 +31,7 @@ fn lags<'a>(warnings: impl Iterator<Item = &'a Warning>) -> Vec<(u8, u32, Durati
         | WarningCause::Reported
         | WarningCause::Limited
         | WarningCause::SoftwareLimits { .. }
+        | WarningCause::NoErrorBehaviour
         | WarningCause::Compared { .. } => None,
     };
     warnings.filter_map(lag).collect()

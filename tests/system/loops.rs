@@ -248,6 +248,7 @@ impl Running {
                 acceleration: None,
                 torque: [0.0; MAX_AXES],
                 law: None,
+                continues_law: false,
             };
             self.link.orders.push(Order::Move(macrostep)).unwrap();
         }

@@ -250,7 +250,7 @@ fn a_report_that_nobody_reads_is_an_error_of_the_run() {
     let said = String::from_utf8_lossy(&ended.stderr);
     assert_eq!(ended.status.code(), Some(1), "{said}");
     assert!(
-        said.contains("the report cannot be printed: standard output is closed. The run ended: Completed"),
+        said.contains("the report cannot be printed: standard output is closed. The run ended: completed"),
         "{said}"
     );
 }

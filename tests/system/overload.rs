@@ -1,7 +1,7 @@
 //! Blocked and overloaded axes: the faults of runs, and the warnings and refusals of `check`.
 
 use ::mrroc::bench::BenchKind;
-use ::mrroc::cell::{CellFile, EmulatedBlock, EmulatedPayload, EmulatedPlane, EmulatedScene, Instruction};
+use ::mrroc::cell::{CellFile, EmulatedBlock, EmulatedPayload, EmulatedPlane, EmulatedScene, Instruction, Law};
 use ::mrroc::check::CheckReport;
 use ::mrroc::run::{Requests, RunOptions, run};
 use ::mrroc::tasks::CarriedTask;
@@ -130,6 +130,40 @@ fn a_body_in_the_path_of_the_tip_is_found_before_the_run() {
     for plane in [wall(10.0), far] {
         assert_eq!(in_path("irb6-serial", scene(vec![plane], vec![])).unwrap().warnings, [""; 0]);
     }
+}
+
+#[test]
+fn check_warns_of_axes_that_lag_behind_by_late_set_points_or_by_their_weight() {
+    // SYNC behind foreign frames: the set-points of drives that interpolate stand until SYNC comes.
+    let loaded = |following_error: f64| {
+        cell("irb6", |file| {
+            file.cell.bus[0].emulated_load = 0.4;
+            file.cell.robot[0].axis.iter_mut().for_each(|axis| axis.following_error = following_error);
+        })
+    };
+    let file = loaded(0.2);
+    let warnings = check(&file).unwrap().warnings;
+    let named = |warning: &String| {
+        warning.starts_with("robot irb6: axis wrist-roll may have a following error of ")
+            && warning.contains("following_error is 0.20 rad")
+    };
+    assert!(warnings.iter().any(named), "{warnings:?}");
+    let found = fault_of(&file, None).unwrap();
+    assert!(found.contains("0x8611"), "{found}");
+    assert_eq!(check(&loaded(2.0)).unwrap().warnings, [""; 0]);
+    // A loop that is stable, and too soft for the weight of the upper arm.
+    let soft = cell("irb6-serial", |file| {
+        let controller = file.cell.robot[0].axis[2].controller.as_mut().unwrap();
+        let Law::Cascade(law) = &mut controller.r#loop.law else { panic!("a cascade") };
+        law.velocity_gain *= 0.16;
+    });
+    let warnings = check(&soft).unwrap().warnings;
+    let named = |warning: &String| {
+        warning.starts_with("robot irb6: axis upper-arm ") && warning.contains(" a weight and a friction of ")
+    };
+    assert!(warnings.iter().any(named) && warnings.len() == 1, "{warnings:?}");
+    let found = fault_of(&soft, None).unwrap();
+    assert!(found.starts_with("following error "), "{found}");
 }
 
 #[test]

@@ -118,9 +118,13 @@ fn errors_of_a_bus_are_counted_and_told() {
         run
     };
     let told = run(&[]);
-    let warning = "\nwarning: bus arm: 1 error frames, error passive 0 times, bus off 1 times: check bit rate";
+    let warning = "\nwarning: bus arm: 1 error frame, error passive 0 times, bus off 1 time: check bit rate";
     assert!(told.stdout.contains(warning), "{told:?}");
-    let bus = &run(&["--json"]).json()["buses"][0];
+    let report = run(&["--json"]).json();
+    let (bus, told) = (&report["buses"][0], &report["warnings"][0]);
+    let what = told["what"].as_str().unwrap();
+    assert!(what.starts_with("1 error frame, error passive 0 times, bus off 1 time: check"), "{told}");
+    assert_eq!((&told["bus"], &told["node"]), (&"arm".into(), &().into()), "{told}");
     assert_eq!((&bus["errors"], &bus["error_passive"], &bus["bus_off"]), (&1.into(), &0.into(), &1.into()));
     assert_eq!(lockstep("irb6", &["--json"]).json()["buses"][0]["errors"], 0);
 }

@@ -188,7 +188,8 @@ fn a_joint_file_that_does_not_tell_its_joints_is_replayed_with_a_key_or_an_optio
     let of_key = |key: &str| cell(&directory, &format!("file = 'relative.trj'\n{key}"));
     let refused = mrroc(arguments(&of_key(""), "replay", &["--bench=lockstep"]));
     assert_eq!(refused.status.code(), Some(2), "{refused:?}");
-    for part in ["relative.trj: the file does not tell", "joints = \"inclination\"", "joints = \"relative\"", "tool at"]
+    for part in
+        ["relative.trj: the file does not tell", "joints = \"inclination\"", "joints = \"relative\"", "set task.joints"]
     {
         assert!(refused.stderr.contains(part), "{part}: {refused:?}");
     }

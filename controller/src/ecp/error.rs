@@ -137,3 +137,46 @@ pub enum ReplaceRefused {
     #[error("the robot moves in a team: only the team's coordinator ends its motion, and the task gives the next one")]
     InTeam,
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_refusal_says_what_is_missing_and_what_to_call() {
+        let waited = Duration::from_millis(1500);
+        for (error, text, class) in [
+            (EcpError::Faulted, "effector is faulted", Class::Fatal),
+            (
+                EcpError::Generator { step: 3, error: GeneratorError::NotFinite { pose: 0, axis: 1 } },
+                "step 3: pose 0, axis 1: not a finite number",
+                Class::NonFatal,
+            ),
+            (
+                EcpError::OutOfReach { step: 3, error: KinematicsError::NotFinite },
+                "step 3: a number is not finite",
+                Class::NonFatal,
+            ),
+            (
+                EcpError::NotFinite { step: 3, axis: 1 },
+                "step 3, axis 1: set-point is not a finite number",
+                Class::NonFatal,
+            ),
+            (
+                EcpError::NotStanding { phase: Phase::Off },
+                "effector is Off, a motion begins from Standing: call enable() before",
+                Class::NonFatal,
+            ),
+            (EcpError::NotHomed, "effector is not homed: call home() before", Class::NonFatal),
+            (EcpError::BrokenOff { phase: Phase::Stopping }, "motion broke off, effector is Stopping", Class::Fatal),
+            (EcpError::Silent { waited }, "servo silent for 1.5s", Class::Fatal),
+            (EcpError::TimedOut { phase: Phase::Homing, waited }, "still Homing after 1.5s", Class::Fatal),
+            (EcpError::Unplanned { waited }, "the first step of the generator takes longer than 1.5s", Class::NonFatal),
+            (EcpError::Unmet { waited }, "the partners of a meeting did not come within 1.5s", Class::NonFatal),
+            (EcpError::Unread { step: 3, waited }, "step 3: no reading of a sensor within 1.5s", Class::NonFatal),
+            (EcpError::Stopped, "stopped", Class::NonFatal),
+        ] {
+            assert_eq!((error.to_string().as_str(), error.class()), (text, class));
+        }
+    }
+}

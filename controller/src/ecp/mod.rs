@@ -40,7 +40,7 @@ pub(crate) mod tests;
 use std::{collections::VecDeque, num::NonZeroU64, time::Duration};
 
 use can::Instant;
-use servo::{EffectorLink, Order, Phase, ServoReport, Snapshot};
+use servo::{EffectorLink, LawParameters, Order, Phase, ServoReport, Snapshot};
 
 use crate::generator::{Execution, Pace, SlowedPart};
 use crate::robot::Arm;
@@ -144,8 +144,12 @@ pub struct Ecp {
     /// list.
     awaited: bool,
     since_report: SinceReport,
-    /// Whether the last macrostep made has a cycle law.
+    /// Whether the last macrostep of this motion has a cycle law.
     under_law: bool,
+    /// The cycle law of the last macrostep made, also after its motion.
+    law: Option<LawParameters>,
+    /// The first macrostep of this motion continues the path from which the law has displaced the effector.
+    continues_law: bool,
     /// Whether the cycle law ended the present or last motion at a touch.
     touched: bool,
     /// Servo cycle after which the last barrier was sent.
@@ -194,6 +198,8 @@ impl Ecp {
             awaited: false,
             since_report: SinceReport::default(),
             under_law: false,
+            law: None,
+            continues_law: false,
             touched: false,
             barrier_sent: None,
             fault_macrostep: None,

@@ -1,12 +1,13 @@
 //! Motion of an effector by a generator: first step, next steps, and the end of the motion.
 
+use std::array;
 use std::cell::RefCell;
 use std::mem::replace;
 use std::num::NonZeroU64;
 use std::time::Duration;
 
 use can::Instant;
-use servo::{Macrostep, Order, Phase, Snapshot, StopCause};
+use servo::{LawParameters, MAX_AXES, Macrostep, Order, Phase, Snapshot, StopCause};
 
 use super::around::Around;
 use super::task::Instruction;
@@ -64,8 +65,11 @@ impl Ecp {
         // The last report may be old: an effector at rest sends none.
         let latest = self.latest();
         self.effector.measured = latest;
+        self.continues_law = !self.in_motion && self.keeps_displacement(run.law(), &latest);
         if !self.in_motion {
-            self.effector.commanded = AxesState::at_rest(latest.commanded);
+            let kept = |axis: usize| if self.continues_law { latest.displacement[axis] } else { 0.0 };
+            let path = array::from_fn(|axis| latest.commanded[axis] - kept(axis));
+            self.effector.commanded = AxesState::at_rest(path);
             // Numbers of macrosteps that the servo dropped at a stop are not used again.
             self.sent = self.sent.max(latest.macrostep);
             self.origin = self.sent;
@@ -93,6 +97,13 @@ impl Ecp {
         self.sensors.poll(cycle);
         self.activity = Activity::Awaiting { run, since: now };
         self.await_images(now, now)
+    }
+
+    /// Whether a motion under `law` continues the path of the motion before: the effector stands beside that path, and its
+    /// law has kept the displacement.
+    fn keeps_displacement(&self, law: Option<LawParameters>, latest: &Snapshot) -> bool {
+        let same = law.is_some() && law == self.law;
+        same && latest.phase == Phase::Standing && latest.displacement != [0.0; MAX_AXES]
     }
 
     /// Reads the images of the first step once they are there, and begins to plan.
@@ -411,7 +422,8 @@ impl Ecp {
         self.effector.commanded = motors;
         self.margin = self.config.period * u32::from(self.pace.periods.saturating_sub(self.pace.read_at));
         self.sent += 1;
-        self.under_law = law.is_some();
+        let continues_law = std::mem::take(&mut self.continues_law) && law == self.law;
+        (self.under_law, self.law) = (law.is_some(), law);
         self.outbox.push_back(Order::Move(Macrostep {
             number: self.sent,
             steps: self.pace.periods,
@@ -421,6 +433,7 @@ impl Ecp {
             acceleration: motors.acceleration,
             torque,
             law,
+            continues_law,
         }));
         Ok(())
     }

@@ -1,5 +1,6 @@
 //! Errors of generators.
 
+use std::f64::consts::TAU;
 use std::time::Duration;
 
 use thiserror::Error;
@@ -63,6 +64,13 @@ pub enum GeneratorError {
     /// The arm would have to jump between two neighbouring poses of a path. The field `by` is in rad or m.
     #[error("at {s:.4} of the path: axis {axis} jumps by {by:.3} to the next pose")]
     Jump { s: f64, axis: u8, by: f64 },
+    /// A joint would have to turn back by whole turns between two neighbouring poses of a path, because the nearest turn is
+    /// beyond its range. The field `by` is in rad.
+    #[error(
+        "at {s:.4} of the path: axis {axis} would turn back by {by:.3} rad, because the nearer turn is beyond the range of the \
+         joint or of its motor: begin the path in another turn of the axis, or divide the path"
+    )]
+    Turn { s: f64, axis: u8, by: f64 },
     /// The path is too close to a singularity: one axis would slow the path too much. `times` is the factor by which
     /// its velocity or acceleration limit slows the path.
     #[error("at {s:.4} of the path: axis {axis} needs {times:.0} times its limit")]
@@ -142,4 +150,17 @@ pub enum GeneratorError {
     /// Reason of a user's generator, with a number defined by that generator.
     #[error("generator error {0}")]
     User(u16),
+}
+
+/// A jump that differs from whole turns by at most this angle counts as a turn back, rad.
+const TURN: f64 = 0.5;
+
+impl GeneratorError {
+    /// A jump of a joint by `by`, rad or m, between two neighbouring poses of a path.
+    pub(super) fn jump(s: f64, axis: usize, by: f64) -> Self {
+        let (axis, by) = (axis as u8, by.abs());
+        let turns = (by / TAU).round();
+        let turned = turns >= 1.0 && (by - turns * TAU).abs() < TURN;
+        if turned { Self::Turn { s, axis, by } } else { Self::Jump { s, axis, by } }
+    }
 }

@@ -125,6 +125,9 @@ pub trait Execution {
     /// Whether the first step can plan from a moving effector.
     fn begins_in_motion(&self) -> bool;
 
+    /// Parameters of the cycle law in all macrosteps, if they are known before the first step.
+    fn law(&self) -> Option<LawParameters>;
+
     /// Number of macrosteps, 1 to `most`, that may be sent ahead of the servo: 1 if the next steps read images.
     fn macrosteps_ahead(&self, most: u16) -> u16;
 
@@ -237,6 +240,10 @@ impl<G: Generator> Execution for Run<G> {
 
     fn begins_in_motion(&self) -> bool {
         self.chart.functions.0.begins_in_motion()
+    }
+
+    fn law(&self) -> Option<LawParameters> {
+        self.chart.functions.0.law()
     }
 
     fn macrosteps_ahead(&self, most: u16) -> u16 {

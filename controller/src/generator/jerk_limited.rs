@@ -5,14 +5,15 @@ use std::time::Duration;
 use rsruckig::prelude::DataArrayOrVec;
 use servo::MAX_AXES;
 
+use super::through::Sections;
 use super::{Axes, AxesState, EffectorImage, Generator, GeneratorError, MotionLimits, Next, Pace, plan::Plan};
 use crate::robot::Space;
 
 /// A jerk-limited, time-synchronised motion through intermediate poses to a final pose. Class 0, planned from the effector.
 ///
-/// Without intermediate poses the motion is time-optimal. With intermediate poses the motion passes through each pose
-/// without stopping, and its duration is near the optimum. The trajectory is stretched by less than a servo period, to a
-/// whole number of periods.
+/// Without intermediate poses the motion is time-optimal. At an intermediate pose, an axis stops only if its direction of
+/// travel changes there. All accelerations are zero there. The motion between two poses is time-optimal. No
+/// duration rises if a limit rises. The trajectory is stretched by less than a servo period, to a whole number of periods.
 ///
 /// Its macrosteps last [one servo period](Pace::PERIOD): each set-point is a sample of the trajectory. Velocity,
 /// acceleration and jerk of the set-points therefore keep their limits. In longer macrosteps, the servo's quintic needs up
@@ -23,15 +24,19 @@ use crate::robot::Space;
 /// therefore continues to another target without a stop. If velocity or acceleration at the start exceeds a limit, the
 /// motion returns below the limit as fast as the jerk limit permits.
 ///
-/// The first step solves the whole motion. The computing time is microseconds for one pose, and about 30 ms for six
-/// axes through five poses. For a single pose, the first step allocates only in a refusal. With intermediate poses, the
-/// solver allocates hundreds of times per pose, for the messages of discarded candidates. No next step allocates.
+/// The first step solves the whole motion, in microseconds per pose. For a single pose, the first step allocates only in
+/// a refusal. No next step allocates.
 #[doc(alias = "ruckig")]
 #[derive(Debug)]
 pub struct JerkLimited {
     space: Space,
     axes: usize,
+    /// The motion without intermediate poses, and the limits of every motion.
     plan: Plan<MAX_AXES>,
+    /// The motion through intermediate poses.
+    through: Option<Sections>,
+    /// Start, intermediate poses and target.
+    poses: Vec<Axes>,
     /// The end, with zero acceleration. The other axes stay at their position at the start.
     target: AxesState,
     duration: Option<Duration>,
@@ -50,11 +55,8 @@ impl JerkLimited {
                 return Err(GeneratorError::NotFinite { pose, axis: axis as u8 });
             }
         }
-        let mut plan = Plan::new(on_the_way.len());
+        let mut plan = Plan::new();
         let input = &mut plan.input;
-        for pose in on_the_way {
-            input.intermediate_positions.push(DataArrayOrVec::Stack(masked(pose, axes)));
-        }
         let target = masked(&target, axes);
         input.target_position = DataArrayOrVec::Stack(target);
         for axis in 0..MAX_AXES {
@@ -65,7 +67,10 @@ impl JerkLimited {
             input.max_acceleration[axis] = limit(&limits.max_acceleration);
             input.max_jerk[axis] = limit(&limits.max_jerk);
         }
-        Ok(Self { space, axes, plan, target: AxesState::at_rest(target), duration: None, ahead: None })
+        let through = (!on_the_way.is_empty()).then(|| Sections::new(poses.len()));
+        let poses = [Axes::default()].into_iter().chain(poses.iter().map(|pose| masked(pose, axes))).collect();
+        let target = AxesState::at_rest(target);
+        Ok(Self { space, axes, plan, through, poses, target, duration: None, ahead: None })
     }
 
     /// The same motion, with at most this number of the cell's macrosteps sent ahead of the servo. A replacement acts after
@@ -78,15 +83,14 @@ impl JerkLimited {
     /// The same motion, ending at `velocity`, rad/s or m/s, with zero acceleration. Refuses intermediate poses, and a
     /// velocity that is not finite or above the limit of its axis.
     pub fn ending_at(mut self, velocity: Axes) -> Result<Self, GeneratorError> {
-        let pose = self.plan.input.intermediate_positions.len();
-        if pose > 0 {
+        if self.through.is_some() {
             return Err(GeneratorError::PassesPoses);
         }
         let velocity = masked(&velocity, self.axes);
         for (axis, value) in velocity.into_iter().enumerate() {
             let limit = self.plan.input.max_velocity[axis];
             if !value.is_finite() {
-                return Err(GeneratorError::NotFinite { pose, axis: axis as u8 });
+                return Err(GeneratorError::NotFinite { pose: 0, axis: axis as u8 });
             }
             if value.abs() > limit {
                 return Err(GeneratorError::EndVelocity { axis: axis as u8, value, limit });
@@ -95,6 +99,10 @@ impl JerkLimited {
         self.plan.input.target_velocity = DataArrayOrVec::Stack(velocity);
         self.target.velocity = velocity;
         Ok(self)
+    }
+
+    fn macrosteps(&self) -> u32 {
+        self.through.as_ref().map_or(self.plan.macrosteps, |sections| sections.macrosteps)
     }
 
     /// The same motion in the time `duration`, rounded up to whole servo periods. The first step refuses a time that is too
@@ -127,7 +135,7 @@ impl Generator for JerkLimited {
     }
 
     fn begins_in_motion(&self) -> bool {
-        self.plan.input.intermediate_positions.is_empty()
+        self.through.is_none()
     }
 
     fn first_step(&mut self, e: &EffectorImage, macrostep: Duration) -> Result<Next<u32>, GeneratorError> {
@@ -140,20 +148,27 @@ impl Generator for JerkLimited {
             input.current_velocity[axis] = from.velocity[axis];
             input.current_acceleration[axis] = acceleration;
         }
-        self.plan.solve(self.duration.map(|given| given.as_secs_f64()), macrostep.as_secs_f64())?;
+        let (given, macrostep) = (self.duration.map(|given| given.as_secs_f64()), macrostep.as_secs_f64());
+        if let Some(sections) = &mut self.through {
+            self.poses[0] = masked(&from.position, self.axes);
+            sections.solve(&self.plan.input, &self.poses, given, macrostep)?;
+        } else {
+            self.plan.solve(given, macrostep)?;
+        }
         Ok(Next::remember(0))
     }
 
     fn terminal(&self, done: &u32, _: &()) -> bool {
-        *done == self.plan.macrosteps
+        *done == self.macrosteps()
     }
 
     fn next_step(&self, done: &u32, _: &()) -> Result<Next<u32>, GeneratorError> {
         let done = done + 1;
-        if done == self.plan.macrosteps {
+        if done == self.macrosteps() {
             return Ok(Next::command(self.space.setpoint(self.target), done));
         }
-        let [mut position, velocity, acceleration] = self.plan.at(done).map(|axes| masked(&axes, self.axes));
+        let state = self.through.as_ref().map_or_else(|| self.plan.at(done), |sections| sections.at(done));
+        let [mut position, velocity, acceleration] = state.map(|axes| masked(&axes, self.axes));
         position[self.axes..].copy_from_slice(&self.target.position[self.axes..]);
         let state = AxesState::new(position, velocity).accelerating(acceleration);
         Ok(Next::command(self.space.setpoint(state), done))

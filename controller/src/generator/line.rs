@@ -227,7 +227,7 @@ impl StraightLine {
             guide: None,
             slowed: None,
             places: Vec::with_capacity(PLACES),
-            profile: Profile { by_tool: Plan::new(0), by_joints: None, macrosteps: 0, duration: 0.0 },
+            profile: Profile { by_tool: Plan::new(), by_joints: None, macrosteps: 0, duration: 0.0 },
         })
     }
 
@@ -319,7 +319,7 @@ impl StraightLine {
         for axis in 0..self.arm.axes() {
             let by = (to[axis] - from[axis]).abs();
             if by > JUMP {
-                return Err(GeneratorError::Jump { s, axis: axis as u8, by });
+                return Err(GeneratorError::jump(s, axis, by));
             }
         }
         Ok(())

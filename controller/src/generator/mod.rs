@@ -83,6 +83,7 @@ mod slowed;
 mod survey;
 #[cfg(test)]
 mod tests;
+mod through;
 mod time_optimal;
 mod transparent;
 mod under_law;
@@ -201,6 +202,13 @@ pub trait Generator: Send + Sync + 'static {
     /// generator continues at that velocity. If false, a moving effector is braked before the first step.
     fn begins_in_motion(&self) -> bool {
         false
+    }
+
+    /// Parameters of the effector's cycle law that all macrosteps carry, if they are known before the first step. The
+    /// law may have kept its displacement from the previous motion under the same parameters. The commanded state of
+    /// the first step is then the end of the previous path, without this displacement.
+    fn law(&self) -> Option<LawParameters> {
+        None
     }
 
     /// Plans the motion and returns the first outputs and memory. The effector stands, unless the generator

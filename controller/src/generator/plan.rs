@@ -10,7 +10,7 @@ const ATTEMPTS: usize = 10;
 /// Jerk-limited trajectory of `N` coordinates.
 #[derive(Debug)]
 pub(super) struct Plan<const N: usize> {
-    /// Start, waypoints, target and limits for [`solve`](Self::solve).
+    /// Start, target and limits for [`solve`](Self::solve).
     pub(super) input: InputParameter<N>,
     solver: Ruckig<N, ThrowErrorHandler>,
     trajectory: Trajectory<N>,
@@ -23,14 +23,12 @@ pub(super) struct Plan<const N: usize> {
 }
 
 impl<const N: usize> Plan<N> {
-    /// An unsolved plan with memory for this many intermediate waypoints.
-    pub(super) fn new(on_the_way: usize) -> Self {
-        let mut trajectory = Trajectory::new(None);
-        trajectory.reserve_sections(on_the_way + 1);
+    /// An unsolved plan.
+    pub(super) fn new() -> Self {
         Self {
-            input: InputParameter::with_waypoints(None, on_the_way),
-            solver: Ruckig::with_waypoints(None, 1.0, on_the_way),
-            trajectory,
+            input: InputParameter::new(None),
+            solver: Ruckig::new(None, 1.0),
+            trajectory: Trajectory::new(None),
             macrosteps: 0,
             step: 0.0,
             pace: 1.0,
@@ -73,7 +71,7 @@ impl<const N: usize> Plan<N> {
     }
 
     /// Solves the plan and returns its duration, s.
-    fn calculate(&mut self) -> Result<f64, GeneratorError> {
+    pub(super) fn calculate(&mut self) -> Result<f64, GeneratorError> {
         match self.solver.calculate(&self.input, &mut self.trajectory) {
             Ok(RuckigResult::Working | RuckigResult::Finished) => Ok(self.trajectory.get_duration()),
             Ok(_) | Err(_) => Err(GeneratorError::NoProfile),
@@ -88,19 +86,24 @@ impl<const N: usize> Plan<N> {
 
     /// Position, velocity and acceleration after `done` macrosteps.
     pub(super) fn at(&self, done: u32) -> [[f64; N]; 3] {
+        let [position, velocity, acceleration] = self.state(f64::from(done) * self.step);
+        [position, velocity.map(|value| value * self.pace), acceleration.map(|value| value * self.pace * self.pace)]
+    }
+
+    /// Position, velocity and acceleration at a time of the trajectory, s.
+    pub(super) fn state(&self, time: f64) -> [[f64; N]; 3] {
         let mut position = DataArrayOrVec::Stack([0.0; N]);
         let mut velocity = DataArrayOrVec::Stack([0.0; N]);
         let mut acceleration = DataArrayOrVec::Stack([0.0; N]);
         self.trajectory.at_time(
-            f64::from(done) * self.step,
+            time,
             &mut Some(&mut position),
             &mut Some(&mut velocity),
             &mut Some(&mut acceleration),
             &mut None,
             &mut None,
         );
-        let velocity = std::array::from_fn(|axis| velocity[axis] * self.pace);
-        let acceleration = std::array::from_fn(|axis| acceleration[axis] * self.pace * self.pace);
-        [std::array::from_fn(|axis| position[axis]), velocity, acceleration]
+        let values = |values: DataArrayOrVec<f64, N>| std::array::from_fn(|axis| values[axis]);
+        [values(position), values(velocity), values(acceleration)]
     }
 }

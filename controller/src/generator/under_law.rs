@@ -12,6 +12,9 @@ use super::{Generator, GeneratorError, Next, Pace, SlowedPart};
 /// [`Wait`](super::Wait), the law alone moves the effector. With a guard, a touch ends the motion before the generator
 /// does.
 ///
+/// A law with a spring keeps its displacement for the next instruction under the same parameters
+/// ([`Generator::law`]).
+///
 /// ```
 /// # use std::time::Duration;
 /// # use mrroc_controller::generator::{Generator, Wait};
@@ -51,6 +54,10 @@ impl<G: Generator> Generator for UnderLaw<G> {
 
     fn begins_in_motion(&self) -> bool {
         self.generator.begins_in_motion()
+    }
+
+    fn law(&self) -> Option<LawParameters> {
+        Some(self.law)
     }
 
     fn first_step(

@@ -3,6 +3,8 @@
 use std::marker::PhantomData;
 use std::time::Duration;
 
+use servo::LawParameters;
+
 use super::{A, Bundle, EffectorImage, Generator, GeneratorError, Images, Message, Next, Pace, SlowedPart, V};
 
 /// A set of images that includes the set `Part`.
@@ -97,6 +99,10 @@ where
 
     fn begins_in_motion(&self) -> bool {
         self.generator.begins_in_motion()
+    }
+
+    fn law(&self) -> Option<LawParameters> {
+        self.generator.law()
     }
 
     fn first_step(&mut self, images: &F, macrostep: Duration) -> Result<Next<G::Memory, G::Out>, GeneratorError> {

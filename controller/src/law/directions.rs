@@ -58,7 +58,9 @@ pub enum Direction {
         /// Inertia and damping.
         compliance: Compliance,
     },
-    /// The direction yields like a spring, and returns to the planned path without force.
+    /// The direction yields like a spring, and returns to the planned path without force. A task with such a direction
+    /// keeps its displacement for the next instruction under the same task: the next path begins at the end of the last
+    /// path, and the spring stays tensioned.
     Admittance {
         /// Stiffness of the spring, N/m or N·m/rad.
         stiffness: f64,
@@ -194,6 +196,11 @@ impl Frame {
 }
 
 impl Behaviour {
+    /// Whether a direction has a spring, whose force depends on the displacement from the path.
+    pub(super) fn has_spring(&self) -> bool {
+        self.gains.iter().any(|gains| gains.stiffness > 0.0)
+    }
+
     /// Reads parameters, all of which are finite. Names the first parameter that is out of its range.
     pub(super) fn read(parameters: &LawParameters) -> Result<Self, LawFault> {
         let values = &parameters.0;

@@ -6,7 +6,7 @@
 //!
 //! # Law
 //! With inertia M, reciprocal damping β, desired force F_d, desired velocity v_d, stiffness K of the admittance, measured
-//! force F, displacement x since the law began, and period T, each direction has in each cycle the velocity
+//! force F, displacement x from the path, and period T, each direction has in each cycle the velocity
 //!
 //! ```text
 //! v ← ((β (F_d − F − K x) + v_d) T + β M v) / (T + β M + β K T²)
@@ -15,6 +15,9 @@
 //! This is the law of the MRROC++ controllers (K = 0). The inertia in the formula is a virtual mass, which is limited by
 //! a virtual damper 1 / β: M dv/dt + v / β = F_d − F − K x + v_d / β. `F` is the force or torque that the tool applies
 //! to its environment, in the task frame.
+//!
+//! The displacement x is kept from one instruction to the next under the same task with K > 0 in any direction
+//! ([`CycleLaw::keeps`](servo::CycleLaw::keeps)). Otherwise x is zero where a motion begins.
 //!
 //! A direction without compliance moves at v_d, whatever the force is. The planned path of the macrosteps adds its own
 //! motion in all directions, so a path has no motion in a direction of contact.

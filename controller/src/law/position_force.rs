@@ -4,14 +4,14 @@ use std::time::Duration;
 
 use drive::wrench::{WrenchLink, WrenchState, Zeroing};
 use nalgebra::{Isometry3, UnitQuaternion, Vector3, Vector6};
-use servo::{CycleLaw, LawFault, LawInput, LawOutput, LawParameters, MAX_AXES};
+use servo::{CycleLaw, LawAxis, LawFault, LawInput, LawOutput, LawParameters, MAX_AXES};
 use thiserror::Error;
 
 use super::directions::{Behaviour, Frame, Guard};
 use super::resolve;
 use crate::force::{Load, SensorMotion, Wrench};
 use crate::robot::{Arm, Axes, Joints, KinematicsError, Motors, Pose};
-use crate::sensor::ZeroedWeight;
+use crate::sensor::{Payload, ZeroedWeight};
 
 /// Speeds from which a compliant direction must move as the law requires: m/s and rad/s. Below, rounding of the
 /// mechanism's singular directions is of no effect.
@@ -40,12 +40,15 @@ pub struct PositionForce {
     sensor: WrenchLink,
     /// Velocity of each direction in the last cycle, m/s and rad/s.
     velocity: Vector6<f64>,
-    /// Integral of the velocity since the law began, m and rad.
+    /// Displacement of the tool from the path in the task frame, m and rad. The first value is the displacement of the
+    /// set-points. The integral of the velocity is then added.
     displacement: Vector6<f64>,
     /// Motor velocities of the last cycle, rad/s.
     motor_velocity: Axes,
     frame: Frame,
     touch: Touch,
+    /// The load behind the sensor in this motion, including the payload.
+    load: Option<Load>,
 }
 
 /// Samples in a row beyond the guard.
@@ -75,6 +78,11 @@ pub struct PositionForceConfig {
     ///
     /// [`ForceTorque::zeroed_weight`]: crate::sensor::ForceTorque::zeroed_weight
     pub zeroed: Option<ZeroedWeight>,
+    /// The part that the tool carries in addition to `load` ([`ForceTorque::payload`]). A change takes effect at the
+    /// beginning of a motion. `None`: no part.
+    ///
+    /// [`ForceTorque::payload`]: crate::sensor::ForceTorque::payload
+    pub payload: Option<Payload>,
     /// Limits of the law.
     pub limits: ForceLimits,
 }
@@ -118,6 +126,7 @@ impl PositionForce {
                 return Err(PositionForceError::Limit { limit, index, value });
             }
         }
+        let load = config.load;
         Ok(Self {
             config,
             sensor,
@@ -126,6 +135,7 @@ impl PositionForce {
             motor_velocity: [0.0; MAX_AXES],
             frame: Frame::default(),
             touch: Touch::default(),
+            load,
         })
     }
 
@@ -205,7 +215,7 @@ impl PositionForce {
         let measured = Wrench::from_components(state.wrench);
         let zero = self.config.zeroed.as_ref().map_or(Ok(Wrench::default()), |weight| noted(weight, state.zeroing))?;
         let orientation = self.config.upright_from_base * base_from_sensor.rotation;
-        let of_load = match &self.config.load {
+        let of_load = match &self.load {
             None => Wrench::default(),
             Some(load) => {
                 let PositionForceConfig { arm, flange_from_sensor, lag, .. } = &self.config;
@@ -223,6 +233,28 @@ impl PositionForce {
         }
         // The sensor measures what the environment does to the tool.
         Ok(contact.seen_from(&(base_from_task.inverse() * base_from_sensor)).components().map(|component| -component))
+    }
+
+    /// Displacement of the tool from the path that follows from the displacements of the motors, in the task frame, m
+    /// and rad.
+    fn kept_displacement(&self, input: &LawInput<'_>) -> Result<Vector6<f64>, LawFault> {
+        let axes = self.config.arm.axes();
+        let Some(given) = input.axes.get(..axes) else { return Err(LawFault::Unreachable) };
+        if given.iter().all(|axis| axis.displacement == 0.0) {
+            return Ok(Vector6::zeros());
+        }
+        let tool = |place: fn(&LawAxis) -> f64| {
+            let mut motors = [0.0; MAX_AXES];
+            motors.iter_mut().zip(given).for_each(|(motor, axis)| *motor = place(axis));
+            let arm = &self.config.arm;
+            arm.joints(&motors).and_then(|joints| arm.forward(&joints)).map_err(refused)
+        };
+        let path = tool(|axis| axis.planned.position)?;
+        let here = tool(|axis| axis.planned.position + axis.displacement)?;
+        let shift = here.translation.vector - path.translation.vector;
+        let turn = (here.rotation * path.rotation.inverse()).scaled_axis();
+        let in_base = Vector6::new(shift.x, shift.y, shift.z, turn.x, turn.y, turn.z);
+        Ok(turned(&self.frame.base_from_task(&here.rotation).inverse(), &in_base))
     }
 
     /// Part of the change to the motor velocities `wanted` that keeps all limits, 0 to 1.
@@ -246,11 +278,21 @@ impl CycleLaw for PositionForce {
         Behaviour::read(parameters).map(drop)
     }
 
-    fn begin(&mut self, _: &LawInput<'_>, parameters: &LawParameters) {
-        (self.velocity, self.displacement) = (Vector6::zeros(), Vector6::zeros());
+    fn keeps(&self, parameters: &LawParameters) -> bool {
+        Behaviour::read(parameters).is_ok_and(|behaviour| behaviour.has_spring())
+    }
+
+    fn begin(&mut self, input: &LawInput<'_>, parameters: &LawParameters) {
+        self.velocity = Vector6::zeros();
         self.motor_velocity = [0.0; MAX_AXES];
         self.frame = Behaviour::read(parameters).map(|behaviour| behaviour.frame).unwrap_or_default();
         self.touch = Touch::default();
+        if let Some(payload) = &self.config.payload {
+            let load = payload.take(&self.config.load.unwrap_or_default());
+            self.load = (!load.is_none()).then_some(load);
+        }
+        // A posture without a pose of the tool ends the motion in `shift`.
+        self.displacement = self.kept_displacement(input).unwrap_or_else(|_| Vector6::zeros());
     }
 
     fn shift(&mut self, input: &LawInput<'_>, parameters: &LawParameters) -> LawOutput {

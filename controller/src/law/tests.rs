@@ -76,6 +76,7 @@ impl Rig {
             load: None,
             lag: Duration::ZERO,
             zeroed: None,
+            payload: None,
             limits,
         };
         let path = arm.motors(joints).unwrap();

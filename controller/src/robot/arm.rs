@@ -10,6 +10,12 @@ use super::{ArmParameters, Jacobian, KinematicsError, Limits, Link, solutions::S
 /// as lying on an axis. A pose this close to a singularity is reached within the same bound.
 pub(super) const PARALLEL: f64 = 1e-10;
 
+/// Sine of the angle to a singular pose, below which a pose counts as singular. The open parameter of such a pose is
+/// taken from the present posture. A singular pose that was written with nine digits lies within this bound, and only
+/// the rounding would determine its open parameter. The error of the orientation lies within the same bound, which is
+/// far below one count of an encoder.
+pub(super) const INDISTINCT: f64 = 1e-8;
+
 pub(super) const COLUMN: usize = 0;
 pub(super) const SHOULDER: usize = 1;
 pub(super) const ELBOW: usize = 2;

@@ -5,7 +5,6 @@ use std::sync::Arc;
 use nalgebra::Isometry3;
 use serde::{Deserialize, Serialize};
 
-use super::drive_train::check;
 use super::parameters::{finite as finite_parameter, room};
 use super::room::room as room_at_home;
 use super::{
@@ -244,7 +243,7 @@ fn finite(value: f64) -> Result<f64, KinematicsError> {
 }
 
 fn within(limits: &Limits, value: f64, space: Space) -> Result<(), KinematicsError> {
-    check(limits, finite(value)?, 0, space)
+    limits.check(space, 0, finite(value)?)
 }
 
 impl RobotParameters for GripperParameters {

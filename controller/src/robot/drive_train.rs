@@ -177,7 +177,7 @@ impl<const N: usize> DriveTrain<N> {
 
     /// Refuses a joint position beyond its limit.
     pub(super) fn check_joint(&self, axis: usize, joint: f64) -> Result<(), KinematicsError> {
-        check(&self.joint_limits[axis], joint, axis, Space::Joint)
+        self.joint_limits[axis].check(Space::Joint, axis, joint)
     }
 
     /// Motor positions for joints. Both are checked against their limits.
@@ -191,7 +191,7 @@ impl<const N: usize> DriveTrain<N> {
             motors[index] = axis.motor_at_home() + axis.travel(joints[index]) + carried;
         }
         for (axis, &motor) in motors.iter().enumerate() {
-            check(&self.motor_limits[axis], motor, axis, Space::Motor)?;
+            self.motor_limits[axis].check(Space::Motor, axis, motor)?;
         }
         Ok(motors.into())
     }
@@ -234,13 +234,5 @@ impl<const N: usize> DriveTrain<N> {
     fn carried(&self, axis: usize, joints: &[f64; N]) -> f64 {
         let carriers = std::iter::successors(Some(axis), |&by| self.axes[by].carried_by);
         carriers.map(|by| self.axes[by].travel(joints[by])).sum()
-    }
-}
-
-/// Refuses a position beyond its limit.
-pub(super) fn check(limits: &Limits, value: f64, axis: usize, space: Space) -> Result<(), KinematicsError> {
-    match limits.exceeded_by(value) {
-        Some(limit) => Err(KinematicsError::BeyondLimit { space, axis: axis as u8, value, limit }),
-        None => Ok(()),
     }
 }

@@ -9,7 +9,7 @@ use super::room::room;
 use super::{
     ArmParameters, GearAxis, Jacobian, Joints, KinematicsError, Limits, Link, Mass, MotorRating, Motors,
     ParameterError, Robot, RobotParameters, Solutions,
-    arm::{self, Facing, PARALLEL, PITCH, Posture, ROLL},
+    arm::{self, Facing, INDISTINCT, PITCH, Posture, ROLL},
     drive_train::DriveTrain,
     parameters,
     solutions::Search,
@@ -85,7 +85,7 @@ impl Irp6Parameters {
 ///
 /// A pose has up to eight branches. Within the limits of the real robot one branch remains, apart from whole turns of
 /// the roll, so that a pose needs no configuration flags. If the hand axis is normal to the arm's plane (sin th5 =
-/// 0, within 1e-10), the pitch and hand axes are parallel. [`Robot::inverse`] then keeps the pitch of `near`. A
+/// 0, within 1e-8), the pitch and hand axes are parallel. [`Robot::inverse`] then keeps the pitch of `near`. A
 /// flange origin on the column axis gives [`KinematicsError::Singular`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct Irp6 {
@@ -138,7 +138,7 @@ impl Robot for Irp6 {
                 // The approach axis, projected on the arm's plane, is parallel to the wrist's x axis.
                 let level = c1 * approach.x + s1 * approach.y;
                 let in_plane = (level * level + approach.z * approach.z).sqrt();
-                let pitches = if in_plane < PARALLEL {
+                let pitches = if in_plane < INDISTINCT {
                     [Some(near[PITCH].sin_cos()), None]
                 } else {
                     let (s4, c4) = (level / in_plane, approach.z / in_plane);

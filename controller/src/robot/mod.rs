@@ -93,8 +93,12 @@ pub trait RobotParameters: Clone {
 
     /// The same numbers with room at home, in each range that includes the home position. The motors, in the order of
     /// the axes, come to rest up to these distances beside their home positions, rad.
+    ///
+    /// The default does not change the ranges, for a robot whose ranges extend to both sides of home.
     #[must_use]
-    fn with_room_at_home(self, motors: &[f64]) -> Self;
+    fn with_room_at_home(self, _motors: &[f64]) -> Self {
+        self
+    }
 
     /// Nominal masses of the links: plausible figures, to be replaced by those of the machine at hand.
     fn masses(&self) -> Vec<Mass> {
@@ -169,8 +173,8 @@ pub trait Robot: fmt::Debug + Send + Sync {
         Vec::new()
     }
 
-    /// Pose of the flange in the frame of the last link. The identity, unless the description of a [`Chain`] has its
-    /// flange elsewhere.
+    /// Pose of the flange in the frame of the last link. The identity by default; the description of a [`Chain`] can
+    /// state another pose.
     fn link_from_flange(&self) -> Pose {
         Pose::identity()
     }
@@ -220,6 +224,14 @@ impl Limits {
         self.low == f64::NEG_INFINITY && self.high == f64::INFINITY
     }
 
+    /// Refuses a position of axis `axis` beyond its limit.
+    pub fn check(&self, space: Space, axis: usize, position: f64) -> Result<(), KinematicsError> {
+        match self.exceeded_by(position) {
+            Some(limit) => Err(KinematicsError::BeyondLimit { space, axis: axis as u8, value: position, limit }),
+            None => Ok(()),
+        }
+    }
+
     /// The limit that `position` exceeds. A NaN exceeds the lower limit.
     pub fn exceeded_by(&self, position: f64) -> Option<f64> {
         if position > self.high + Self::SLACK {
@@ -265,7 +277,7 @@ pub enum KinematicsError {
     Unreachable { margin: f64 },
     /// The pose leaves an axis undetermined. `margin` is the distance of the flange from the axis, m, or the sine of
     /// the angle between the two axes.
-    #[error("axis {axis} is undetermined {margin:.1e} from a singular pose")]
+    #[error("axis {axis} is undetermined {margin:.1e} from a singular pose: take a pose beside it, or joints")]
     Singular { axis: u8, margin: f64 },
     /// The legs cannot have these lengths at the same time. Legs are counted from 0. `residual` is the requested length
     /// minus the length in the closest posture found.
@@ -280,7 +292,8 @@ pub enum KinematicsError {
     /// The pose lies beside the path of a device with one axis.
     #[error("{distance:.6} m and {angle:.6} rad off the only axis")]
     OffAxis { distance: f64, angle: f64 },
-    /// No posture found brings the flange to the pose. `distance` and `angle` are the errors of the nearest posture.
+    /// No posture was found that brings the flange to the pose. `distance` and `angle` are the errors of the nearest
+    /// posture.
     #[error("the arm misses the pose by {distance:.6} m and {angle:.6} rad at the least")]
     Missed { distance: f64, angle: f64 },
     /// The tool axis lies outside the vertical plane of a 5-axis arm. `residual` is the sine of the angle between them,

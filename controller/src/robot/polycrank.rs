@@ -2,7 +2,10 @@
 
 mod cranks;
 
-use std::{f64::consts::FRAC_PI_2, sync::Arc};
+use std::{
+    f64::consts::{FRAC_PI_2, PI},
+    sync::Arc,
+};
 
 use nalgebra::{Isometry3, Vector3};
 use serde::{Deserialize, Serialize};
@@ -11,7 +14,7 @@ use super::room::room;
 use super::{
     GearAxis, Jacobian, Joints, KinematicsError, Limits, Link, Mass, MotorRating, Motors, ParameterError, Robot,
     RobotParameters, Solutions,
-    arm::{self, PARALLEL},
+    arm::{self, INDISTINCT},
     drive_train::{DriveTrain, TrainAxis},
     free_parameter, parameters,
     solutions::Search,
@@ -26,12 +29,12 @@ const UPPER: usize = 0;
 const FOREARM: usize = 3;
 const ROLL: usize = 6;
 
-/// The axis that turns the plane of the forearm. A pose with the tool axis parallel to axis 1 leaves this axis open.
-const PLANE: usize = 2;
 const ELBOW: usize = 4;
 
 /// If the sines of both bends are smaller, the two pairs of cranks count as stretched or folded.
 const STRETCHED: f64 = 1e-5;
+/// Number of candidate planes of the forearm, spread over half a turn, if the tool axis is parallel to axis 1.
+const PLANES: u8 = 16;
 /// Distance from the ends of its range, m, within which the forearm's reach is moved back as the arm moves.
 const BAND: f64 = 0.04;
 /// Number of points at which the most dexterous branch is sought before its refinement.
@@ -131,9 +134,12 @@ impl PolycrankParameters {
 /// from a distance of 0.1 m on. [`Polycrank::inverse_at`] takes the reach from the caller.
 /// [`Polycrank::most_dexterous`] searches for the best reach.
 ///
-/// Two singular poses are refused with [`KinematicsError::Singular`], whose axis counts from 0. Axis 2: the tool axis
-/// is parallel to axis 1 within 1e-10. Axis 4: both pairs of cranks are stretched or folded at once, with bends
-/// within 1e-5, which is the edge of the workspace.
+/// A pose whose tool axis is parallel to axis 1 within 1e-8 also leaves the plane of the forearm open. The plane is
+/// then taken from `near`. If the arm cannot reach the pose in this plane, the nearest of 16 planes in which the pose
+/// is within reach is taken.
+///
+/// A pose in which both pairs of cranks are stretched or folded at once, with bends within 1e-5, is the edge of the
+/// workspace, and is refused with [`KinematicsError::Singular`]. Its axis is 4, counted from 0.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Polycrank {
     parameters: PolycrankParameters,
@@ -246,11 +252,36 @@ impl Polycrank {
         choose: impl Fn(&Facing) -> Result<f64, f64>,
     ) -> Result<Solutions, KinematicsError> {
         let (origin, axes) = arm::parts(base_from_flange)?;
-        let tilt = axes.column(2).xy().norm();
-        arm::regular(PLANE, tilt, PARALLEL)?;
-        let facings = self.cranks.facings(&origin, &axes, tilt);
+        let across = axes.column(2).xy();
+        let tilt = across.norm();
+        if tilt >= INDISTINCT {
+            let facings = self.cranks.facings(&origin, &axes, (across.x / tilt, across.y / tilt), tilt);
+            return self.solve_facings(&facings, near, choose);
+        }
+        let here = near[..3].iter().sum::<f64>();
+        let mut refusal = None;
+        for plane in 0..PLANES {
+            // 0, 1, -1, 2, -2 and so on. A facing and its opposite are one plane.
+            let steps = f64::from(plane.div_ceil(2)) * if plane % 2 == 0 { -1.0 } else { 1.0 };
+            let (sin, cos) = (here + steps * PI / f64::from(PLANES)).sin_cos();
+            let facings = self.cranks.facings(&origin, &axes, (cos, sin), 0.0);
+            match self.solve_facings(&facings, near, &choose) {
+                Err(error) => refusal = refusal.or(Some(error)),
+                found => return found,
+            }
+        }
+        Err(refusal.unwrap_or(KinematicsError::NotFinite))
+    }
+
+    /// The branches of both facings of a pose.
+    fn solve_facings(
+        &self,
+        facings: &[Facing; 2],
+        near: &[f64; AXES],
+        choose: impl Fn(&Facing) -> Result<f64, f64>,
+    ) -> Result<Solutions, KinematicsError> {
         Search::run(&self.drive_train, near, |search| {
-            for facing in &facings {
+            for facing in facings {
                 match choose(facing) {
                     Ok(reach) => self.branches(search, facing, reach),
                     Err(margin) => search.out_of_reach(margin),

@@ -9,8 +9,8 @@ use super::room::room;
 use super::{
     GearAxis, Jacobian, Joints, KinematicsError, Limits, Link, LinkKind, Mass, MotorRating, Motors, ParameterError,
     Robot, RobotParameters, Solutions, Space,
-    arm::{self, PARALLEL},
-    drive_train::{self, DriveTrain, TrainAxis},
+    arm::{self, INDISTINCT, PARALLEL},
+    drive_train::{DriveTrain, TrainAxis},
     legs::{self, Legs, Posture},
     parameters,
     solutions::Search,
@@ -23,9 +23,6 @@ const RHO: usize = 2;
 const ROLL: usize = 3;
 const PITCH: usize = 4;
 const SPIN: usize = 5;
-
-/// Sine of the wrist's pitch below which roll and spin turn about the same line.
-const STRAIGHT: f64 = 1e-6;
 
 /// One leg: a ball screw that the motor drives directly.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -123,7 +120,8 @@ const fn wrist(range: f64) -> GearAxis {
 /// Rx(alpha)·Ry(beta)·Rz(roll)·Ry(pitch)·Rz(spin). At pitch 0 the tool continues the line of the central leg.
 ///
 /// A pose has two branches, with positive and with negative pitch. With a straight wrist, roll and spin turn about
-/// the same line. If the sine of the pitch is below 1e-6, [`Robot::inverse`] returns [`KinematicsError::Singular`].
+/// the same line. If the sine of the pitch is below 1e-8, [`Robot::inverse`] keeps the roll of `near`, and returns one
+/// branch.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Rnt {
     parameters: RntParameters,
@@ -216,7 +214,7 @@ impl Rnt {
     fn driven(&self, joints: &[f64; AXES]) -> Result<[f64; AXES], KinematicsError> {
         let mut driven = *joints;
         for (axis, &joint) in joints.iter().enumerate().take(3) {
-            drive_train::check(&self.joint_limits[axis], joint, axis, Space::Joint)?;
+            self.joint_limits[axis].check(Space::Joint, axis, joint)?;
         }
         let [alpha, beta, rho, ..] = *joints;
         let lengths = self.legs.lengths(&[alpha, beta, rho]);
@@ -276,12 +274,18 @@ impl Robot for Rnt {
         self.driven(&posture)?;
         let wrist = legs::central(alpha, beta).transpose() * axes;
         let lean = Vector2::new(wrist[(0, 2)], wrist[(1, 2)]).norm();
-        arm::regular(ROLL, lean, STRAIGHT)?;
+        let straight = lean < INDISTINCT;
+        let sides: &[f64] = if straight { &[1.0] } else { &[1.0, -1.0] };
         Search::run(&self.drive_train, near, |search| {
-            for side in [1.0, -1.0] {
+            for side in sides {
                 let mut joints = posture;
-                let (sin, cos) = (side * wrist[(1, 2)] / lean, side * wrist[(0, 2)] / lean);
-                let pitch = (side * lean).atan2(wrist[(2, 2)]);
+                let (sin, cos) = match straight {
+                    true => near[ROLL].sin_cos(),
+                    false => (side * wrist[(1, 2)] / lean, side * wrist[(0, 2)] / lean),
+                };
+                // For a straight wrist, the pitch is the component of the lean across its axis.
+                let lean = if straight { cos * wrist[(0, 2)] + sin * wrist[(1, 2)] } else { side * lean };
+                let pitch = lean.atan2(wrist[(2, 2)]);
                 // Spin follows from the chosen roll, so that their errors cancel near the singularity.
                 let across = |column| cos * wrist[(1, column)] - sin * wrist[(0, column)];
                 let spin = across(0).atan2(across(1));

@@ -25,8 +25,8 @@ impl Solutions {
         Self { joints: [Joints::from([]); Self::MOST], count: 0 }
     }
 
-    /// Inserts a solution at this distance from the present posture. `distances` are those of the solutions so far. A
-    /// solution beyond [`MOST`](Self::MOST) is dropped.
+    /// Inserts a solution at this distance from the present posture. `distances` has the distances of the present
+    /// solutions. A solution beyond [`MOST`](Self::MOST) is dropped.
     pub(super) fn insert(&mut self, distances: &mut [f64; Self::MOST], joints: Joints, distance: f64) {
         if self.count == Self::MOST {
             return;

@@ -65,7 +65,7 @@ impl<Space> Vector<Space> {
     }
 
     /// The positions as an array. Fails if the number of axes is not `N`, or if a position is not finite.
-    pub(super) fn exactly<const N: usize>(&self) -> Result<&[f64; N], KinematicsError> {
+    pub fn exactly<const N: usize>(&self) -> Result<&[f64; N], KinematicsError> {
         let values: &[f64; N] =
             (**self).try_into().map_err(|_| KinematicsError::AxisCount { axes: N as u8, given: self.axes })?;
         if values.iter().all(|value| value.is_finite()) { Ok(values) } else { Err(KinematicsError::NotFinite) }

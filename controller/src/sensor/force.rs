@@ -7,13 +7,14 @@ use std::time::Duration;
 use can::Instant;
 use drive::Word;
 use drive::wrench::{WrenchAxis, WrenchFault, WrenchLink, WrenchState, ZeroRequest};
-use nalgebra::UnitQuaternion;
-use servo::{Latest, Snapshot};
+use nalgebra::{UnitQuaternion, Vector3};
+use servo::{Latest, Phase, Snapshot};
 use thiserror::Error;
 
+use super::payload::{Payload, PayloadPublisher, payload};
 use super::zeroed_weight::{WeightPublisher, ZeroedWeight, zeroed_weight};
 use super::{VirtualSensor, try_lock};
-use crate::force::{Load, SensorMotion, Wrench};
+use crate::force::{Load, LoadError, SensorMotion, Wrench};
 use crate::generator::{GeneratorError, SensorReading};
 use crate::robot::{Arm, KinematicsError, Pose};
 
@@ -63,6 +64,28 @@ pub enum ForceError {
     NotBiased {
         /// Channel of the sensor.
         axis: WrenchAxis,
+    },
+    /// The robot moves while its payload is to change.
+    #[error("payload not changed, the robot moves: change the payload between two motions")]
+    PayloadInMotion,
+    /// A mass or a centre that no load has.
+    #[error("payload not changed, {0}: give a mass from 0 on, and its centre in the frame of the sensor")]
+    Payload(LoadError),
+    /// The weight of tool and payload saturates a channel.
+    #[error(
+        "payload not changed, the weight of the tool with {mass} kg can load {axis} by {value:.2} {}, and its range is \
+         {limit:.2}: check mass and centre of the payload",
+        unit(*.axis)
+    )]
+    PayloadRange {
+        /// Mass of the payload, kg.
+        mass: f64,
+        /// Channel of the sensor.
+        axis: WrenchAxis,
+        /// Greatest reading by the weight, N or N·m.
+        value: f64,
+        /// Range of the channel, N or N·m.
+        limit: f64,
     },
     /// The driver did not complete a zeroing.
     #[error("not zeroed within {waited:?}: read the fault of the sensor")]
@@ -129,6 +152,8 @@ pub struct ForceSensorConfig {
     pub flange_from_sensor: Pose,
     /// Load of all parts that are mounted on the tool side of the sensor.
     pub load: Load,
+    /// Ranges of all channels, N and N·m, which bound the weight of tool and payload.
+    pub range: [f64; 6],
     /// Time by which the tool follows its set-points later than by the delay of the drive group.
     pub lag: Duration,
     /// Greatest absolute reading of each channel before a zeroing, without the load of the tool, N and N·m
@@ -158,6 +183,8 @@ pub struct ForceTorque {
     tool_from_sensor: Pose,
     zero: Arc<Mutex<Zero>>,
     zeroed_weight: ZeroedWeight,
+    payload_publisher: Arc<Mutex<PayloadPublisher>>,
+    payload: Payload,
 }
 
 /// Weight of the tool at the last zeroing, which the readings of the driver no longer contain.
@@ -182,7 +209,10 @@ impl ForceTorque {
         let (publisher, zeroed_weight) = zeroed_weight();
         let zero = Zero { request: None, weight: Wrench::default(), publisher };
         let zero = Arc::new(Mutex::new(zero));
-        Self { link, robot, config: Arc::new(config), tool_from_sensor, zero, zeroed_weight }
+        let (publisher, payload) = payload();
+        let payload_publisher = Arc::new(Mutex::new(publisher));
+        let config = Arc::new(config);
+        Self { link, robot, config, tool_from_sensor, zero, zeroed_weight, payload_publisher, payload }
     }
 
     /// The words that a cycle law takes from this sensor.
@@ -199,6 +229,46 @@ impl ForceTorque {
             Word { taken: Arc::clone(taken), repeat: Box::new(repeat) }
         };
         self.zeroed_weight.taken().iter().enumerate().map(word).collect()
+    }
+
+    /// The words of the payload that a cycle law takes from this sensor.
+    pub fn payload_words(&self) -> Vec<Word> {
+        let word = |(index, taken): (usize, &Arc<AtomicU64>)| {
+            let (publisher, all) = (Arc::clone(&self.payload_publisher), self.payload.taken().clone());
+            let repeat = move |value| {
+                let mut words = all.each_ref().map(|word| word.load(Ordering::Relaxed));
+                words[index] = value;
+                all[index].store(value, Ordering::Relaxed);
+                publisher.lock().unwrap_or_else(PoisonError::into_inner).repeat(&words);
+            };
+            Word { taken: Arc::clone(taken), repeat: Box::new(repeat) }
+        };
+        self.payload.taken().iter().enumerate().map(word).collect()
+    }
+
+    /// The payload, for a [cycle law](crate::law::PositionForce).
+    pub fn payload(&self) -> Payload {
+        self.payload.clone()
+    }
+
+    /// Changes the part that the tool carries in addition to the load of the [configuration](ForceSensorConfig::load):
+    /// a point mass, kg, with its centre in the frame of the sensor, m. A mass of 0 removes the part. The robot must
+    /// not be in motion. Readings follow at once, and a cycle law follows at the beginning of its next motion. A
+    /// zeroing stays valid.
+    pub fn set_payload(&self, mass: f64, centre: Vector3<f64>) -> Result<(), ForceError> {
+        let part = Load::of_weight(mass, centre).map_err(ForceError::Payload)?;
+        let whole = self.config.load.carrying(&part).greatest_weight();
+        for ((axis, value), limit) in WrenchAxis::ALL.into_iter().zip(whole).zip(self.config.range) {
+            if mass > 0.0 && (value.is_nan() || value >= limit) {
+                return Err(ForceError::PayloadRange { mass, axis, value, limit });
+            }
+        }
+        if matches!(self.robot.read().phase, Phase::Moving | Phase::Stopping) {
+            return Err(ForceError::PayloadInMotion);
+        }
+        let centre = if mass > 0.0 { centre } else { Vector3::zeros() };
+        self.payload_publisher.lock().unwrap_or_else(PoisonError::into_inner).publish(mass, &centre);
+        Ok(())
     }
 
     /// The weight of the tool at the last zeroing that this sensor or a clone has read, for a
@@ -273,6 +343,7 @@ impl ForceTorque {
 
     fn load_at(&self, time: Instant, base_from_sensor: &Result<Pose, ForceError>) -> Result<Wrench, ForceError> {
         let ForceSensorConfig { arm, flange_from_sensor, upright_from_base, load, lag, .. } = &*self.config;
+        let load = self.payload.added_to(load);
         if load.is_none() {
             return Ok(Wrench::default());
         }
@@ -283,6 +354,7 @@ impl ForceTorque {
 
     fn weight_in(&self, base_from_sensor: &Result<Pose, ForceError>) -> Result<Wrench, ForceError> {
         let ForceSensorConfig { upright_from_base, load, .. } = &*self.config;
+        let load = self.payload.added_to(load);
         if load.is_none() {
             return Ok(Wrench::default());
         }

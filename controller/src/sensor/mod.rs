@@ -29,6 +29,7 @@ mod gates;
 mod jog;
 mod marked;
 mod operator;
+mod payload;
 #[cfg(test)]
 mod tests;
 mod ultrasonic;
@@ -59,6 +60,7 @@ pub use operator::{
     Asking, Operator, OperatorAnswer, OperatorCommand, OperatorError, OperatorLink, OperatorPanel, OperatorTexts,
     Question, Reaction,
 };
+pub use payload::Payload;
 pub use ultrasonic::{BoxLocator, BoxPlace, BoxReading, EchoError, MOST_SCANS, MatrixConfig};
 pub use zeroed_weight::ZeroedWeight;
 

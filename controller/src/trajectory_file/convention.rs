@@ -123,8 +123,7 @@ impl fmt::Display for Readings {
             f.write_str("; ")?;
         }
         f.write_str(
-            "set joints in the table task, or --joints: files of MRROC++ since 8 October 2010 are relative, earlier \
-             files and those taught by mrroc are inclinations",
+            "files of MRROC++ since 8 October 2010 are relative, earlier files and those taught by mrroc are inclinations",
         )
     }
 }

@@ -168,18 +168,25 @@ pub(super) fn read(
 type Behind = (Option<JointConvention>, Option<(usize, usize)>);
 
 fn behind<'a>(lines: impl Iterator<Item = (&'a str, usize)>) -> Result<Behind, TrajectoryFileError> {
-    let (mut told, mut spare) = (None, None);
+    let (mut told, mut spare) = (None::<(JointConvention, usize)>, None);
     for (text, line) in lines {
         let telling = text.strip_prefix(JOINTS).and_then(|rest| rest.trim_start().strip_prefix('='));
         if let Some(word) = telling {
+            let refused = |problem| TrajectoryFileError { line, problem };
             let found = JointConvention::of(word.trim().trim_matches('"'));
-            told = Some(found.ok_or(TrajectoryFileError { line, problem: TrajectoryFileProblem::Joints })?);
+            let found = found.ok_or(refused(TrajectoryFileProblem::Joints))?;
+            match told {
+                Some((told, first)) if told != found => {
+                    return Err(refused(TrajectoryFileProblem::TwoConventions { found, told, first }));
+                }
+                _ => told = told.or(Some((found, line))),
+            }
         } else {
             let (first, rows) = spare.unwrap_or((line, 0));
             spare = Some((first, rows + 1));
         }
     }
-    Ok((told, spare))
+    Ok((told.map(|(convention, _)| convention), spare))
 }
 
 /// The number of columns that are used: those that all rows have, and no more than the robot has.

@@ -170,6 +170,7 @@ const CONFIGURATIONS: &[Configuration] = &[
     ("defaults.dcf", [3, 2, 0, 0], &[]),
     // Objects that belong to a driver are the driver's to refuse.
     ("safety-set-up.dcf", [4, 0, 0, 0], &[]),
+    ("no-vendor.dcf", [3, 0, 0, 0], &[]),
     // The COB-ID off, no entries, one entry, their count, and the COB-ID.
     ("mapping-beyond-count.dcf", [6, 0, 0, 2], &[]),
     (

@@ -7,13 +7,13 @@
 //! - An obstacle or a counter that stands still takes the speed away. A shock gives the motor another speed.
 //! - A damaged answer is contradicted by the next one.
 //!
-//! Two answers after the step therefore decide. The loop may take the step back meanwhile: the displacements after the step
-//! then change by no more than the acceleration permits, and half of the step is left at the first answer.
+//! Two answers after the step therefore decide. The loop may take the step back in this time. The displacements after
+//! the step then change by no more than the acceleration permits, and half of the step is left at the first answer.
 //!
 //! # Smallest step
-//! A step counts from `max_acceleration` · period² + `latest` · speed + 2 increments per sample on, where `latest` is the
-//! longest delay of an answer that the group tolerates. Smaller steps are not found. The size of a step is that in the first
-//! answer after it, when the loop may have taken back a part of it.
+//! A step counts from `max_acceleration` · period² + `latest` · speed + 2 increments per sample on, where `latest` is
+//! the longest delay of an answer that the group tolerates. Smaller steps are not found. The size of a step is measured
+//! at the first answer after the step. The loop may have taken back a part of the step by then.
 
 /// Answers after a step that must confirm the step.
 const ANSWERS_TO_CONFIRM: u32 = 2;
@@ -68,7 +68,7 @@ struct Candidate {
     residual: f64,
     /// Speed before the step, increments/s.
     velocity: f64,
-    /// The last residual since the step, and the sum of all, increments.
+    /// The last residual since the step, and the sum of all residuals since the step, increments.
     last: f64,
     left: f64,
     answers: u32,
@@ -218,7 +218,7 @@ mod tests {
             for taken_back in [[71, 37, 6, -9], [71, 50, 20, -5], [71, 71, 40, 0], [71, 60, 51, 40]] {
                 assert_eq!(found(&taken_back.map(|at| sign * at)), Some(22), "{taken_back:?}");
             }
-            // Damaged answers, a blow that bounces, a blow, and a counter that begins to count again.
+            // Damaged answers, a blow with a rebound, a blow, and a counter that begins to count again.
             for other in [[71, 0, 0, 0], [71, 71, 0, 0], [71, 20, 0, 0], [71, 5, -40, -80], [71, 105, 130, 150]] {
                 assert_eq!(found(&other.map(|at| sign * at)), None, "{other:?}");
             }

@@ -60,6 +60,12 @@ pub enum WarningCause {
         /// Greatest position of the cell, counts.
         most: i32,
     },
+    /// The node lacks object 0x1029:01, so that its reaction to the loss of the host is not known.
+    #[error(
+        "no object 0x1029:01, so it is not known whether the drive leaves operational without the heartbeat of the host: \
+         against frames that a buffer held, only SYNC without set-points protects; check the drive's reaction"
+    )]
+    NoErrorBehaviour,
     /// Values that can only be read differ from the device configuration file.
     #[error("{different} of {values} read-only values differ from the device configuration file, the first is {first}")]
     Compared {
@@ -92,6 +98,7 @@ impl WarningCause {
             | Self::Reported
             | Self::Limited
             | Self::SoftwareLimits { .. }
+            | Self::NoErrorBehaviour
             | Self::Compared { .. } => None,
         }
     }
@@ -107,6 +114,7 @@ impl WarningCause {
             | (Self::Reported, Self::Reported)
             | (Self::Limited, Self::Limited)
             | (Self::SoftwareLimits { .. }, Self::SoftwareLimits { .. })
+            | (Self::NoErrorBehaviour, Self::NoErrorBehaviour)
             | (Self::Compared { .. }, Self::Compared { .. }) => true,
             (
                 Self::Emergency { .. }
@@ -115,6 +123,7 @@ impl WarningCause {
                 | Self::Reported
                 | Self::Limited
                 | Self::SoftwareLimits { .. }
+                | Self::NoErrorBehaviour
                 | Self::Compared { .. },
                 _,
             ) => false,

@@ -12,10 +12,17 @@ use scan::{Next, Scan};
 
 mod scan;
 
+/// Greatest number of answers to one inquiry, until two in a row agree.
+const MOST_ANSWERS: u32 = 4;
+
 /// Gives nodes their node-IDs, one service at a time.
 ///
 /// The deadline of each answer is `timeout` after its request. No request is repeated; a service that timed out may be
 /// started again. Answers to other requests are ignored.
+///
+/// The answers have no numbers, so that a late answer to an earlier request may look like the answer to the present
+/// request. Each inquiry is therefore repeated until two answers in a row agree. A fastscan waits for late answers
+/// wherever a late answer would give a wrong identity or hide a slave.
 ///
 /// A node without a node-ID gets one in four steps. [`Service::Fastscan`] finds the node and puts it into configuration
 /// mode. [`Service::ConfigureNodeId`] and [`Service::Store`] follow. After a switch to [`Mode::Waiting`] the node boots
@@ -44,8 +51,13 @@ struct Progress {
     part: Part,
     /// Of `InquireIdentity`, the numbers answered before `part`.
     identity: Identity,
+    /// For inquiries: the last answer to the present request, and the number of its answers.
+    last: Option<Response>,
+    answers: u32,
     /// Of fastscans, the question asked.
     scan: Scan,
+    /// For fastscans: whether the scan waits for late answers, after a question that was not answered in time.
+    listening: bool,
     /// Of `IdentifyUnconfigured`, whether the first question of a fastscan was asked as well.
     scanning: bool,
     /// Whether any slave answered a question to all slaves.
@@ -70,15 +82,16 @@ pub enum Service {
     /// Ask whether any slave has no node-ID. Takes `timeout`, and as long again if none answers: slaves that know only
     /// fastscan answer its first question.
     IdentifyUnconfigured,
-    /// Find the identity of a slave without a node-ID, the smallest if there are several, and put that
-    /// slave into configuration mode. Takes up to 135 times `timeout`, for slaves that agree answer at different
-    /// times, and silence means no; it may be as short as the slowest slave's answer, some 10 ms.
+    /// Find the identity of a slave without a node-ID, the smallest if there are several, and put that slave into
+    /// configuration mode. The service takes up to 139 times `timeout`: slaves with the same answer may answer at
+    /// different times, and only silence means no. `timeout` may be as short as the answer time of the slowest slave,
+    /// about 10 ms.
     ///
     /// Slaves in configuration mode should be silent. One that answers every question, as CANopenNode's does, fails the
     /// scan with [`LssError::Untrue`]; [`Service::FastscanAbove`] avoids it.
     Fastscan,
-    /// Find the smallest identity above this one in the same way. With all slaves in [`Mode::Waiting`] the ones found
-    /// before are passed over. Takes up to 271 times `timeout`.
+    /// Find the smallest identity above this one in the same way. If all slaves are in [`Mode::Waiting`], the slaves
+    /// found before are passed over. The service takes up to 280 times `timeout`.
     FastscanAbove(Identity),
 }
 
@@ -124,6 +137,12 @@ pub enum LssError {
     #[error("no slave has the {part} {number:#010x} that the scan found; try a longer time-out")]
     Vanished { part: Part, number: u32 },
     #[error(
+        "the answers to {service} differ each time: put one slave alone into configuration mode, or try a longer time-out"
+    )]
+    Disagree { service: Service },
+    #[error("a slave answered a question of the fastscan after the time-out; try a longer time-out")]
+    Late,
+    #[error(
         "a slave answers every question of a fastscan, so that no other slave can be found: take it off the bus, or give it a node-ID"
     )]
     Untrue,
@@ -160,7 +179,10 @@ impl Master {
             service,
             part: Part::Vendor,
             identity: Identity::default(),
+            last: None,
+            answers: 0,
             scan,
+            listening: false,
             scanning: false,
             heard: false,
         });
@@ -191,6 +213,12 @@ impl Master {
             return;
         };
         let service = progress.service;
+        if let Some(request) = progress.asked_again(&response) {
+            return match request {
+                Ok(request) => self.ask(request, now),
+                Err(error) => self.state = ServiceState::Finished(Err(error)),
+            };
+        }
         let result = match (service, response) {
             (Service::SwitchSelective(_), Response::Selected) => Ok(Answer::Done),
             (Service::ConfigureNodeId(_), Response::NodeIdConfigured(outcome))
@@ -205,6 +233,7 @@ impl Master {
                 *progress.identity.get_mut(told) = value;
                 if let Some(next) = told.next() {
                     progress.part = next;
+                    (progress.last, progress.answers) = (None, 0);
                     return self.ask(Request::Inquire(next), now);
                 }
                 Ok(Answer::Identity(progress.identity))
@@ -264,7 +293,18 @@ impl Master {
                 return self.ask(Request::Fastscan(question), now);
             }
             Service::IdentifyUnconfigured if sent => Ok(Answer::Unconfigured(progress.heard)),
+            Service::Fastscan | Service::FastscanAbove(_) if sent && progress.listening && progress.heard => {
+                Err(LssError::Late)
+            }
+            Service::Fastscan | Service::FastscanAbove(_)
+                if sent && !progress.listening && !progress.heard && progress.scan.is_misled_by_late_answers() =>
+            {
+                progress.listening = true;
+                self.deadline = now + self.timeout;
+                return;
+            }
             Service::Fastscan | Service::FastscanAbove(_) if sent => {
+                progress.listening = false;
                 match progress.scan.answered(std::mem::take(&mut progress.heard)) {
                     Next::Ask(question) => return self.ask(Request::Fastscan(question), now),
                     Next::Found(identity) => Ok(Answer::Found(identity)),
@@ -290,6 +330,26 @@ impl Master {
     fn ask(&mut self, request: Request, now: Instant) {
         self.request = Some(request);
         self.deadline = now + self.timeout;
+    }
+}
+
+impl Progress {
+    /// The request of an inquiry that is repeated after this answer. `None` for an answer that agrees with the last
+    /// answer, or that belongs to another inquiry.
+    fn asked_again(&mut self, response: &Response) -> Option<Result<Request, LssError>> {
+        let request = match (self.service, response) {
+            (Service::InquireIdentity, Response::Inquired { part, .. }) if *part == self.part => {
+                Request::Inquire(*part)
+            }
+            (Service::InquireNodeId, Response::NodeId { .. }) => Request::InquireNodeId,
+            _ => return None,
+        };
+        self.answers += 1;
+        if self.last.replace(*response) == Some(*response) {
+            return None;
+        }
+        let service = self.service;
+        Some(if self.answers < MOST_ANSWERS { Ok(request) } else { Err(LssError::Disagree { service }) })
     }
 }
 

@@ -22,6 +22,8 @@ struct Slave {
     /// Parts that a selective switch has named rightly so far.
     selected: u8,
     oddity: Oddity,
+    /// Number of its answer to a fastscan that comes after the time-out, from 0.
+    late: Option<usize>,
 }
 
 /// How a slave deviates from CiA 305.
@@ -111,7 +113,10 @@ fn run(master: &mut Master, slaves: &mut [Slave], service: Service, now: &mut In
                 if let Some(answer) = slave.take(request) {
                     let id = StandardId::new(0x7E4).expect("11 bits");
                     let frame = Frame::new(id, &answer).expect("8 bytes");
-                    answers.push((*now + Duration::from_millis(slave.delay), frame));
+                    let is_late = slave.late == Some(0);
+                    slave.late = slave.late.and_then(|number| number.checked_sub(1));
+                    let late = if is_late { TIME_OUT } else { Duration::ZERO };
+                    answers.push((*now + Duration::from_millis(slave.delay) + late, frame));
                 }
             }
             answers.sort_by_key(|(due, _)| *due);
@@ -157,6 +162,7 @@ fn slaves() -> impl Strategy<Value = Vec<Slave>> {
                 position: 0,
                 selected: 0,
                 oddity: Oddity::None,
+                late: None,
             })
             .collect();
         slaves.sort_by_key(|slave| slave.identity);
@@ -250,7 +256,7 @@ proptest! {
 }
 
 #[test]
-fn a_fastscan_takes_134_time_outs() {
+fn a_fastscan_takes_134_time_outs_and_one_for_each_number_that_is_odd() {
     let slave = Slave {
         identity: [0xFB, 0x6552_0000, 0x0170_0000, 0x1234_5678],
         node_id: 0xFF,
@@ -259,9 +265,39 @@ fn a_fastscan_takes_134_time_outs() {
         position: 0,
         selected: 0,
         oddity: Oddity::None,
+        late: None,
     };
     let mut now = Instant::ZERO;
     let found = run(&mut Master::default(), &mut [slave.clone()], Service::Fastscan, &mut now);
     assert_eq!(found, Ok(Answer::Found(Some(identity(slave.identity)))));
-    assert_eq!(now.since(Instant::ZERO), 134 * TIME_OUT);
+    assert_eq!(now.since(Instant::ZERO), 135 * TIME_OUT);
+}
+
+#[test]
+fn a_late_answer_to_a_fastscan_gives_no_wrong_identity_and_hides_no_slave() {
+    let slave = Slave {
+        identity: [0xFA, 0x6552_0000, 0x0170_0000, 0x1234_5678],
+        node_id: 0xFF,
+        delay: 1,
+        configuring: false,
+        position: 0,
+        selected: 0,
+        oddity: Oddity::None,
+        late: None,
+    };
+    let scanned = |late| {
+        let mut slaves = [Slave { late: Some(late), ..slave.clone() }];
+        run(&mut Master::default(), &mut slaves, Service::Fastscan, &mut Instant::from_nanos(0))
+    };
+    let mut failed = 0;
+    for late in 0..200 {
+        match scanned(late) {
+            Ok(found) => assert_eq!(found, Answer::Found(Some(identity(slave.identity))), "answer {late}"),
+            Err(LssError::Late | LssError::Vanished { .. }) => failed += 1,
+            Err(error) => panic!("answer {late}: {error}"),
+        }
+    }
+    // One answer per bit that is 0, and further ones.
+    assert!(failed > 80, "{failed}");
+    assert_eq!(scanned(0), Err(LssError::Late));
 }

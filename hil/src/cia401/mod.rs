@@ -108,6 +108,7 @@ impl DigitalIo {
             power_on: config.power_on,
             boot_delay: config.boot_delay,
             answer_delay: config.answer_delay,
+            lss_delay: std::time::Duration::ZERO,
         };
         let module = Module {
             inputs: Inputs::new(

@@ -27,6 +27,8 @@ pub struct Epos4Config {
     pub boot_delay: Duration,
     /// Delay from an SDO request to its answer.
     pub answer_delay: Duration,
+    /// Delay from an LSS request to its answer. A slave that handles LSS in a slow loop answers after tens of milliseconds.
+    pub lss_delay: Duration,
     /// Object 0x3000:05, quadrature counts per revolution. `None`: the counts of the axis's encoder.
     pub main_sensor_resolution: Option<u32>,
     /// Object 0x6076, N·m, which gives the nominal current (0x3001:01). `None`: the torque at maximum current.
@@ -92,6 +94,7 @@ impl Epos4Config {
             power_on: Instant::ZERO,
             boot_delay: BOOT_DELAY,
             answer_delay: Duration::from_micros(300),
+            lss_delay: Duration::ZERO,
             main_sensor_resolution: None,
             rated_torque: None,
             vendor_bits: 0,

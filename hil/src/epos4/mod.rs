@@ -87,6 +87,7 @@ impl Epos4 {
             power_on: config.power_on,
             boot_delay: config.boot_delay,
             answer_delay: config.answer_delay,
+            lss_delay: config.lss_delay,
         };
         let objects = Objects::new(Cow::Borrowed(TABLE.as_slice()), config.node, &identity(&config));
         Self { node: Node::new(node, objects, Drive::new(&config)) }

@@ -49,6 +49,7 @@ impl CanForceSensor {
             power_on: config.power_on,
             boot_delay: config.boot_delay,
             answer_delay: config.answer_delay,
+            lss_delay: Duration::ZERO,
         };
         let sensor = Sensor {
             slots: Slots::of(&table),

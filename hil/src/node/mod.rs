@@ -98,6 +98,8 @@ pub(crate) struct NodeConfig {
     pub(crate) boot_delay: Duration,
     /// Delay from an SDO request to its answer.
     pub(crate) answer_delay: Duration,
+    /// Delay from an LSS request to its answer.
+    pub(crate) lss_delay: Duration,
 }
 
 /// An emulated node.
@@ -106,6 +108,7 @@ pub(crate) struct Node<A> {
     pub(crate) objects: Objects,
     boot_delay: Duration,
     answer_delay: Duration,
+    lss_delay: Duration,
     /// Node-ID of the device; `None` until LSS assigns a node-ID.
     pub(crate) id: Option<NodeId>,
     lss: Lss,
@@ -116,6 +119,8 @@ pub(crate) struct Node<A> {
     server: sdo::Server,
     /// The answer to the last SDO request, and its due time.
     answer: Option<(Instant, Frame)>,
+    /// The answers to LSS requests that are not due yet, and their due times.
+    lss_answers: VecDeque<(Instant, Frame)>,
     /// Time at which the last requested block begins; `None` once the block has begun.
     block_at: Option<Instant>,
     queue: VecDeque<Frame>,
@@ -138,6 +143,7 @@ impl<A: Application> Node<A> {
             objects,
             boot_delay: config.boot_delay,
             answer_delay: config.answer_delay,
+            lss_delay: config.lss_delay,
             id: config.id,
             lss: Lss::new(config.id, config.identity),
             errors: Errors::default(),
@@ -145,6 +151,7 @@ impl<A: Application> Node<A> {
             pdos: Pdos::NONE,
             server: sdo::Server::new(SDO_TIME_OUT),
             answer: None,
+            lss_answers: VecDeque::new(),
             block_at: None,
             queue: VecDeque::with_capacity(QUEUE),
             boots_at: Some(boots_at),
@@ -358,8 +365,12 @@ impl<A: Application> Node<A> {
         let Some(request) = lss::Request::decode(frame) else {
             return;
         };
-        if let Some(answer) = self.lss.handle(request, self.id) {
-            self.send(answer.encode());
+        match self.lss.handle(request, self.id) {
+            Some(answer) if self.lss_delay.is_zero() => self.send(answer.encode()),
+            Some(answer) if self.lss_answers.len() < QUEUE => {
+                self.lss_answers.push_back((now + self.lss_delay, answer.encode()));
+            }
+            _ => {}
         }
         if self.id.is_none() && self.lss.given {
             self.reset(false, now);
@@ -380,6 +391,7 @@ impl<A: Application> Node<A> {
             self.boots_at,
             self.heartbeat_at,
             self.answer.as_ref().map(|(at, _)| *at),
+            self.lss_answers.front().map(|(at, _)| *at),
             self.block_at,
             self.server.poll_timeout(),
             self.pdos.poll_timeout(),
@@ -471,6 +483,10 @@ impl<A: Application> Device for Node<A> {
             self.boot(now);
         }
         if let Some((_, frame)) = self.answer.take_if(|(at, _)| *at <= now) {
+            self.send(frame);
+        }
+        while let Some(&(_, frame)) = self.lss_answers.front().filter(|(at, _)| *at <= now) {
+            self.lss_answers.pop_front();
             self.send(frame);
         }
         self.block_at = self.block_at.filter(|at| *at > now);

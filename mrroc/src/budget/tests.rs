@@ -118,6 +118,28 @@ fn a_bus_that_a_sensor_makes_too_slow_is_refused_and_fewer_axes_are_proposed() {
 }
 
 #[test]
+fn no_cell_without_axes_is_proposed() {
+    let said = |axes: usize, bitrate: u32| {
+        let file = cell(|cell| {
+            cell.bus[0].bitrate_kbps = bitrate;
+            cell.robot[0].axis.iter_mut().for_each(|axis| axis.bus = "cabinet".into());
+            cell.robot[0].axis.iter_mut().take(axes).for_each(|axis| axis.bus = "arm".into());
+            cell.bus[1].bitrate_kbps = 1000;
+        });
+        check_bus(&file, 0, &[]).map(|_| String::new()).unwrap_or_else(|refusal| refusal.to_string())
+    };
+    let one = said(1, 50);
+    assert!(one.contains("is busy for ") && one.contains("a period of "), "{one}");
+    for count in 1..=5 {
+        for bitrate in [50, 125, 250] {
+            let refusal = said(count, bitrate);
+            assert!(!refusal.contains("0 axes would fit") && !refusal.contains("1 axes would"), "{refusal}");
+        }
+    }
+    assert!(said(3, 250).contains("1 axis would fit, or a period of "), "{}", said(3, 250));
+}
+
+#[test]
 fn a_frame_belongs_to_the_node_that_sends_it_or_that_the_host_sends_it_to() {
     let node_of = |id, sender| {
         let id = StandardId::new(id).unwrap();

@@ -4,8 +4,10 @@ use std::time::Duration;
 
 use drive::Scale;
 use drive::axis_controller::{self, Settings, StopBits};
-use drive::cia402::{AxisConfig, CyclicMode, GroupConfig, HomingConfig, Identity, NodeId, Purpose, Setting};
-use servo::{FeedForward, FrozenWatch, HomingLeg, HostHoming, HostLoop, Output, PositionLoop, ServoAxisConfig};
+use drive::cia402::{self, AxisConfig, CyclicMode, GroupConfig, HomingConfig, Identity, NodeId, Purpose, Setting};
+use servo::{
+    FeedForward, FrozenWatch, HomingLeg, HostHoming, HostLoop, Law, LoopPlant, Output, PositionLoop, ServoAxisConfig,
+};
 
 use super::{
     Axis, AxisController, Cell, Control, Direction, Drive, DriveControl, Homing, Loop, Parameter, Robot, Serial,
@@ -235,6 +237,13 @@ impl Axis {
             }
             (None, None) => unreachable!("{HAS_DRIVE}"),
         }
+    }
+
+    /// The linear loop of the host, its law and its output. `None` if the drive closes the loop.
+    pub(crate) fn loop_plant(&self, period: Duration) -> Option<(LoopPlant, Law, Output)> {
+        let (_, given, output) = self.host_loop()?;
+        let delay = if self.drive.is_some() { cia402::DELAY } else { axis_controller::DELAY };
+        Some((LoopPlant::new(period, delay, &given.law, &given.feed_forward), given.law, output))
     }
 
     /// A search for a mechanical stop (methods -1 to -4) ends with a motor that is held back.

@@ -101,6 +101,13 @@ impl CellFile {
         read::parameters(&self.text, names).map_err(|error| FileError { path: self.path.clone(), error })
     }
 
+    /// The key of the table that [`parameters_of`](Self::parameters_of) reads.
+    pub(crate) fn parameters_key(&self, names: &[&'static str]) -> super::Path {
+        let task = super::Path::to("task");
+        let own = names.iter().find(|name| self.cell.task.contains_key(**name));
+        own.map_or(task.clone(), |name| task.then(*name))
+    }
+
     /// The device configuration of axis `axis` of robot `robot`, if it has one.
     pub fn configuration(&self, robot: usize, axis: usize) -> Option<&DeviceConfiguration> {
         self.configurations[robot][axis].as_ref()
@@ -146,28 +153,31 @@ impl CellFile {
             let axes = robot.axis.iter().enumerate();
             axes.map(move |(place, axis)| ((number, place), format!("{}.{}", robot.name, axis.name), axis))
         });
-        let mut axes: Vec<_> = axes.collect();
-        let is_meant = |full: &str, axis: &Axis| {
-            let by_node = on_can && axis.drive.is_some() && wanted.parse() == Ok(axis.node);
-            full == wanted || full == wanted.replace('/', ".") || axis.name == wanted || by_node
-        };
-        let mut found = axes.iter().filter(|(_, full, axis)| is_meant(full, axis));
-        let (first, second) = (found.next(), found.next());
-        let what = match first {
-            Some(_) if second.is_some() => "more than one axis is",
-            Some((place, _, axis)) if !on_can || axis.drive.is_some() => return Ok(*place),
-            _ => "no axis is",
-        };
-        axes.retain(|(.., axis)| !on_can || axis.drive.is_some());
-        if !on_can {
-            let all: Vec<_> = axes.iter().map(|(_, full, _)| full.as_str()).collect();
-            bail!("{what} called {wanted:?}; there are {}", all.join(", "));
-        }
-        if axes.is_empty() {
+        let axes: Vec<_> = axes.filter(|(.., axis)| !on_can || axis.drive.is_some()).collect();
+        if on_can && axes.is_empty() {
             bail!("{}: the cell has no drive on CAN", self.path.display());
         }
-        let all = axes.iter().map(|(_, full, axis)| format!("{full} (node {})", axis.node));
-        bail!("{what} called {wanted:?} with a drive on CAN; there are {}", all.collect::<Vec<_>>().join(", "))
+        let is_meant = |full: &str, axis: &Axis| {
+            let by_node = on_can && wanted.parse() == Ok(axis.node);
+            full == wanted || full == wanted.replace('/', ".") || axis.name == wanted || by_node
+        };
+        let name = |(_, full, axis): &(_, String, &Axis)| match on_can {
+            true => format!("{full} (node {})", axis.node),
+            false => full.clone(),
+        };
+        let which = if on_can { " with a drive on CAN" } else { "" };
+        let found: Vec<_> = axes.iter().filter(|(_, full, axis)| is_meant(full, axis)).collect();
+        match found[..] {
+            [(place, ..)] => Ok(*place),
+            [] => {
+                let all: Vec<_> = axes.iter().map(name).collect();
+                bail!("no axis is called {wanted:?}{which}; there are {}", all.join(", "))
+            }
+            _ => {
+                let found: Vec<_> = found.into_iter().map(name).collect();
+                bail!("more than one axis is called {wanted:?}{which}: {}", found.join(", "))
+            }
+        }
     }
 
     /// The same cell with these robots only, and without programs, meetings, sensors, I/O nodes and scene. Buses without

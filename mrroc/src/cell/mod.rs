@@ -65,11 +65,12 @@ pub use meetings::Meeting;
 pub(crate) use program::smooth_pose;
 pub use program::{ProgramError, instruction_path};
 pub use read::LARGEST;
-pub(crate) use read::from_text;
+pub(crate) use read::{element as read_element, from_text};
 pub use scene::{EmulatedBar, EmulatedBlock, EmulatedGripper, EmulatedPlane, EmulatedScene, EmulatedTip, Place};
 pub use servo::regulator::{CascadeConfig, IncrementalConfig, ProportionalConfig};
 pub use servo::thread::{Policy, Realtime, Scheduler, Wait};
 pub use servo::{Direction, FeedForward, Figure, Law, Range};
+pub(crate) use text::one_of;
 pub use text::{printable, quoted};
 pub use touch::EmulatedTouchProbe;
 pub use ultrasonic::{Ultrasonic, UltrasonicEmulator};
@@ -599,6 +600,7 @@ impl Cell {
         files: &mut dyn FnMut(&str) -> Result<String, String>,
     ) -> Result<Self, CellError> {
         let document = read::parse(text)?;
+        crate::robots::check_own(text, &document)?;
         let mut cell: Self = read::read(text, &document)?;
         chain::resolve(&mut cell, files).map_err(|(path, problem)| CellError::at(text, &path, problem))?;
         validation::check(&cell).map_err(|(path, problem)| CellError::at(text, &path, problem))?;

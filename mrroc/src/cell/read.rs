@@ -68,6 +68,21 @@ pub(crate) fn from_text<T: DeserializeOwned>(text: &str) -> Result<T, CellError>
     read(text, &document)
 }
 
+/// Reads the element at `path`, which the document has.
+pub(crate) fn element<T: DeserializeOwned>(text: &str, document: &DeValue<'_>, path: &Path) -> Result<T, CellError> {
+    let mut value = Value { value: document, offset: 0 };
+    for step in &path.0 {
+        let inner = match step {
+            Step::Key(key) => value.value.get(&**key),
+            Step::At(index) => value.value.get(*index),
+        };
+        value = Value::of(inner.expect("the path leads to an element"), value.offset);
+    }
+    let refused =
+        |refusal: ValueError| path.0.iter().rev().cloned().fold(refusal.from(value.offset), ValueError::below);
+    T::deserialize(value).map_err(|refusal| refused(refusal).of(text))
+}
+
 /// Tables in the table `task` that belong to tasks of the command.
 const NAMED: [&str; 2] = ["teach", "replay"];
 

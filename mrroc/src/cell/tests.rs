@@ -3,6 +3,7 @@
 mod bounds;
 mod camera;
 mod conveyor;
+mod device_configuration;
 mod emergency_contact;
 mod families;
 mod force;
@@ -476,6 +477,11 @@ fn meetings_that_cannot_be_held_are_refused_at_their_line() {
         (
             third("duration = 6.0", "duration = 0.0", 0),
             "robot[0].program[1].joints.duration: is 0, must be between 0.001",
+        ),
+        // No profile is longer than 7600 s.
+        (
+            third("duration = 6.0", "duration = 7201.0", 0),
+            "robot[0].program[1].joints.duration: is 7201, must be between 0.001 and 7200 (s)",
         ),
         (
             third("generator = \"jerk-limited\", duration", "duration", 0),

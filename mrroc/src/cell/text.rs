@@ -52,7 +52,7 @@ fn beginning(text: &str, shown: impl Fn(&str) -> String) -> String {
 }
 
 /// Words as a list: `a`, `a or b`, `a, b or c`.
-pub(super) fn one_of(words: &[&str]) -> String {
+pub(crate) fn one_of(words: &[&str]) -> String {
     let mut list = String::new();
     for (number, word) in words.iter().enumerate() {
         let join = match number {

@@ -1,7 +1,7 @@
-//! The parts of a recording, and what its summary says of them.
+//! The parts of a recording, and their comparison with its summary.
 //!
-//! A recording of a day has some 200,000 chunks. Their places are compared with the index by number and by a checksum
-//! that does not depend on the order, so that the memory does not grow with the file.
+//! A recording of a day has about 200,000 chunks. The comparison of the chunks with the index uses their number and a
+//! checksum that does not depend on the order. The memory therefore does not grow with the file.
 
 use std::collections::BTreeMap;
 use std::hash::{DefaultHasher, Hash, Hasher};
@@ -24,7 +24,7 @@ impl Tally {
     }
 }
 
-/// Parts of each kind: those that are there, or those that the summary names.
+/// Parts of each kind: the parts in the file, or the parts that the summary names.
 #[derive(Clone, Copy, Default, PartialEq, Eq)]
 struct Parts {
     chunks: Tally,
@@ -36,7 +36,7 @@ struct Parts {
     groups: Tally,
 }
 
-/// A chunk whose index is read.
+/// A chunk while its index is read.
 struct Chunk {
     at: u64,
     length: u64,
@@ -87,7 +87,7 @@ impl Contents {
         self.counts.get(&channel).copied().unwrap_or(0)
     }
 
-    /// Takes a chunk with its number of messages, behind the parts before.
+    /// Takes the chunk of `length` bytes at `at`, with its number of messages.
     pub(super) fn chunk(&mut self, at: u64, length: u64, messages: usize) {
         self.chunk = Some(Chunk { at, length, messages, index: 0, indexed: 0 });
     }
@@ -108,7 +108,7 @@ impl Contents {
         self.found.metadata.add((at, length));
     }
 
-    /// Completes the chunk before a record of another kind. Returns what is missing.
+    /// Completes the present chunk, because a record of another kind follows. The error names missing messages.
     pub(super) fn close_chunk(&mut self) -> Result<(), String> {
         let Some(Chunk { at, length, messages, index, indexed }) = self.chunk.take() else { return Ok(()) };
         self.found.chunks.add((at, length, index));
@@ -118,7 +118,7 @@ impl Contents {
         }
     }
 
-    /// Takes a record of the summary, of `length` bytes at `at`. Returns what is missing or wrong.
+    /// Takes a record of the summary, of `length` bytes at `at`. The error names what is missing or wrong.
     pub(super) fn summary(&mut self, at: u64, length: u64, opcode: u8, record: &Record) -> Result<(), String> {
         match record {
             Record::Schema { header, .. } => self.named.schemas.add(header.id),
@@ -158,7 +158,7 @@ impl Contents {
         }
     }
 
-    /// Compares the summary with the parts. Returns what differs.
+    /// Compares the summary with the parts. The error names the first difference.
     fn agrees(&self, footer: &Footer) -> Result<(), String> {
         let Some(statistics) = &self.statistics else {
             return Err("the summary or its counts are missing".to_owned());

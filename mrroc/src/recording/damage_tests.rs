@@ -50,7 +50,7 @@ fn recorded() -> (tempfile::TempDir, PathBuf) {
     recorded_with(None)
 }
 
-/// The same with the faults of a scenario.
+/// The same recording, with the faults of a scenario.
 pub(super) fn recorded_with(scenario: Option<&str>) -> (tempfile::TempDir, PathBuf) {
     let directory = tempfile::tempdir().unwrap();
     let recording = directory.path().join("run.mcap");

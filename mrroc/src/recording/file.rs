@@ -55,7 +55,7 @@ pub(super) struct Channel {
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Facts {
     pub(super) texts: BTreeMap<String, String>,
-    /// UTC of the zero of the recording's times, ns since 1970; `None` in lockstep, whose times are those of no clock.
+    /// UTC of the zero of the recording's times, ns since 1970; `None` in lockstep, where times follow no clock.
     pub(super) utc_of_zero: Option<u64>,
     /// Files by path.
     pub(super) files: Vec<(String, Vec<u8>)>,

@@ -54,6 +54,8 @@ messages! {
         law = 10: [double, repeated] Vec<f64>,
         /// Index of the robot in the cell.
         robot = 11: [uint32] u32,
+        /// Whether the macrostep continues the path of the motion before, from which the law has displaced the robot.
+        continues_law = 12: [bool] bool,
     }
 
     /// A change of the fault of a robot.
@@ -217,6 +219,7 @@ impl RobotOrder {
                 acceleration: macrostep.acceleration.map_or_else(Vec::new, |it| it.to_vec()),
                 torque: macrostep.torque.to_vec(),
                 law: macrostep.law.map_or_else(Vec::new, |law| law.0.to_vec()),
+                continues_law: macrostep.continues_law,
                 ..named("Move")
             },
         }
@@ -246,6 +249,7 @@ impl RobotOrder {
                     [] => None,
                     law => Some(LawParameters(<[f64; LAW_PARAMETERS]>::try_from(law).ok()?)),
                 },
+                continues_law: self.continues_law,
             }),
             _ => return None,
         })

@@ -13,20 +13,20 @@ use super::damage_tests::{recorded_with, records};
 use super::file::{END, FIRST, PROFILE};
 use super::*;
 
-/// A part of a recording that is written again.
+/// A part of a recording that is rewritten.
 pub(super) enum Kept<'a> {
     /// A channel, by its topic.
     Channel(&'a str),
     /// A message of a channel.
     Message(&'a str, &'a MessageHeader),
-    /// A text of the metadata of a name, by its key.
+    /// A text in the metadata of this name, by its key.
     Text(&'a str, &'a str),
     /// An attachment.
     File(&'a str),
 }
 
-/// The recording `bytes`, written again with the parts that `keeps` selects. Messages have the number of the next
-/// message of their channel, and the summary is that of the written parts.
+/// The recording `bytes`, rewritten with the parts that `keeps` selects. The messages of each channel are numbered
+/// again, and the summary describes the written parts.
 pub(super) fn rewritten(bytes: &[u8], keeps: &mut dyn FnMut(Kept) -> bool) -> Vec<u8> {
     let mut written = Cursor::new(Vec::new());
     let options = WriteOptions::new().compression(Some(Compression::Lz4)).disable_seeking(true).profile(PROFILE);
@@ -72,8 +72,8 @@ pub(super) fn rewritten(bytes: &[u8], keeps: &mut dyn FnMut(Kept) -> bool) -> Ve
     written.into_inner()
 }
 
-/// The recording `bytes`, written again with the messages that `keeps` selects. `has_mark`: the count of the messages is
-/// kept as it is.
+/// The recording `bytes`, rewritten with the messages that `keeps` selects. With `has_mark`, the count of the messages
+/// stays unchanged.
 fn with_messages(bytes: &[u8], has_mark: bool, mut keeps: impl FnMut(&str, &MessageHeader) -> bool) -> Vec<u8> {
     rewritten(bytes, &mut |kept| match kept {
         Kept::Message(topic, header) => keeps(topic, header),

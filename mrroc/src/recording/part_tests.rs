@@ -1,4 +1,5 @@
-//! Recordings of a short run without one of their parts at the front, in the middle or at the end: each is found.
+//! Recordings of a short run that lack one part at the front, in the middle or at the end. The replay finds every
+//! missing part.
 
 use std::fs;
 use std::path::Path;
@@ -74,7 +75,7 @@ fn places<T: Copy + PartialEq>(all: &[T]) -> Vec<T> {
     chosen
 }
 
-/// Recordings: of a run with one file, of a run with two files, and of the last seconds of a run up to its fault.
+/// Recordings of a run with one file and of a run with two files.
 fn recordings() -> [(tempfile::TempDir, PathBuf); 2] {
     let (directory, recording) = {
         let directory = tempfile::tempdir().unwrap();
@@ -82,7 +83,7 @@ fn recordings() -> [(tempfile::TempDir, PathBuf); 2] {
         for name in ["puma560.toml", "puma560.urdf"] {
             fs::copy(cells.join(name), directory.path().join(name)).unwrap();
         }
-        let file = CellFile::read(&directory.path().join("puma560.toml")).unwrap();
+        let file = CellFile::read(directory.path().join("puma560.toml")).unwrap();
         let recording = directory.path().join("run.mcap");
         let options = RunOptions { record: Some(recording.clone()), ..RunOptions::on(BenchKind::Lockstep) };
         crate::run::run(&file, &options, &Requests::default(), &CarriedTask::Home.program(), &mut |_| {}).unwrap();

@@ -317,11 +317,11 @@ impl Reading {
         }
     }
 
-    /// Fails if what a recording says of itself is missing before its first chunk.
+    /// Fails if the header or a required text of the metadata is missing.
     fn has_facts(&self) -> Result<(), Failure> {
         let Some(profile) = &self.profile else { return Err(Failure::Missing("the header is missing".to_owned())) };
         let texts = &self.facts.texts;
-        // In lockstep, the times are those of no clock.
+        // In lockstep, times follow no clock.
         let has_utc = profile == PROFILE && texts.get("bench").is_none_or(|bench| bench != BenchKind::Lockstep.name());
         let mut keys = ["version", "bench", "cell"].into_iter().chain(has_utc.then_some(UTC));
         match keys.find(|key| !texts.contains_key(*key)) {
@@ -476,7 +476,7 @@ impl Reading {
     }
 }
 
-/// Adds a name, and returns whether the name is new. A recording has few and short ones.
+/// Adds a name, and returns whether the name is new. A recording has few names, and all are short.
 fn named<T: PartialEq>(names: &mut BTreeMap<u16, T>, id: u16, name: T, length: usize) -> Result<bool, Failure> {
     if length > NAMES.1 || names.len() >= NAMES.0 {
         return Err(damaged("names of channels that no recording has"));

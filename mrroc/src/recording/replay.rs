@@ -67,7 +67,7 @@ impl Replay {
         self.differences.is_empty()
     }
 
-    /// Whether the file has all that was written: the file was not cut, and is not damaged.
+    /// Whether the file is complete: neither cut nor damaged.
     pub fn is_whole(&self) -> bool {
         self.cut.is_none() && self.damaged.is_none()
     }
@@ -137,7 +137,7 @@ fn beside(path: &Path) -> Option<String> {
         .then(|| format!("a candump log has only the frames of a recording: replay {}", recording.display()))
 }
 
-/// Greatest number of folders that a recorded file lies above the folder of its cell.
+/// Greatest number of folders by which a recorded file lies above the folder of its cell.
 const DEEPEST: usize = 16;
 
 /// The recorded cell file with the files that it names, in `directory`.

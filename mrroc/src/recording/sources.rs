@@ -106,5 +106,7 @@ pub(crate) fn words(devices: &Devices, sensors: &[ForceTorque]) -> Vec<Word> {
     let io = devices.io.iter().flat_map(|link| link.words());
     let wrenches = devices.sensors.iter().flat_map(|link| link.words());
     let matrices = devices.matrices.iter().map(|link| link.word());
-    io.chain(wrenches).chain(matrices).chain(sensors.iter().flat_map(ForceTorque::words)).collect()
+    let zeros = sensors.iter().flat_map(ForceTorque::words);
+    // New words follow at the end, so that words of older recordings keep their numbers.
+    io.chain(wrenches).chain(matrices).chain(zeros).chain(sensors.iter().flat_map(ForceTorque::payload_words)).collect()
 }

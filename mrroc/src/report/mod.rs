@@ -4,6 +4,7 @@
 //! robot was from its commanded path; `curves.rs` and `plots.rs` are what the page shows of that. `last_cycles.rs`
 //! keeps the cycles up to a fault.
 
+mod configuration;
 mod curves;
 mod fault;
 mod last_cycles;
@@ -28,6 +29,7 @@ use servo::{Counters, Histogram, Servo, Timing};
 use crate::{budget::BusBudget, cell::CellFile, run::ServoHang, wire::WireReport};
 
 pub use crate::row_file::IncompleteFile;
+pub use configuration::ConfigurationReport;
 pub use fault::{ErrorPlace, FaultReport};
 pub use last_cycles::{CycleState, LastCycles};
 #[cfg(feature = "pages")]
@@ -92,9 +94,11 @@ pub struct RunReport {
     pub slowed: Vec<SlowedReport>,
     /// Further slowed motions, which are counted alone.
     pub more_slowed: u64,
+    /// Device configuration files of the axes: what they ask for, and their flaws.
+    pub configurations: Vec<ConfigurationReport>,
     /// Axes that oscillated about their set-points.
     pub oscillations: Vec<OscillationReport>,
-    /// Errors that drives reported without a fault.
+    /// Errors on CAN buses, and errors that drives reported without a fault.
     pub warnings: Vec<WarningReport>,
     /// Reports of further errors, which are counted alone.
     pub more_warnings: u64,
@@ -171,6 +175,7 @@ impl RunReport {
             error_passive: group.port.passive,
             bus_off: group.port.bus_off,
         });
+        let buses: Vec<_> = buses.collect();
         let timing = &end.timing;
         let groups = servo.into_iter().flat_map(Servo::warnings).enumerate();
         let warnings = groups
@@ -178,8 +183,9 @@ impl RunReport {
         Self {
             cell: file.cell.name.clone(),
             bench,
+            configurations: ConfigurationReport::all(file),
             oscillations: oscillations.collect(),
-            warnings: warnings.collect(),
+            warnings: buses.iter().filter_map(BusReport::trouble).chain(warnings).collect(),
             robots: end.tracks.reports(),
             lost_records: counters.dropped_records,
             more_warnings: servo.into_iter().flat_map(Servo::warnings).map(Warnings::omitted).sum(),
@@ -197,7 +203,7 @@ impl RunReport {
                 worst: timing.late.worst().map(WorstCycle::from).collect(),
                 account: timing.account,
             },
-            buses: buses.collect(),
+            buses,
             wire: take(&mut end.wire),
             faults: take(&mut end.faults),
             recovered: take(&mut end.recovered),
@@ -259,13 +265,14 @@ pub struct WarningReport {
     bus: String,
     /// The axis, as in [`AxisReport::name`].
     axis: Option<String>,
-    node: u8,
+    /// Null for errors on a bus.
+    node: Option<u8>,
     /// Error code of the EMCY; null for a warning of another kind.
     code: Option<u16>,
     /// Error register of the EMCY (object 0x1001).
     register: Option<u8>,
-    /// Time of the first report, from the end of bring-up, s.
-    time_s: f64,
+    /// Time of the first report, from the end of bring-up, s; null for errors on a bus.
+    time_s: Option<f64>,
     count: u64,
     what: String,
 }
@@ -279,10 +286,10 @@ impl WarningReport {
         Self {
             bus: file.cell.groups().nth(group).unwrap_or_default().to_owned(),
             axis: axis.map(|(robot, axis)| file.axis_name(robot, axis)),
-            node: warning.node,
+            node: Some(warning.node),
             code: emergency.map(|(code, _)| code),
             register: emergency.map(|(_, register)| register),
-            time_s: warning.after.as_secs_f64(),
+            time_s: Some(warning.after.as_secs_f64()),
             count: warning.count,
             what: warning.to_string(),
         }
@@ -295,7 +302,10 @@ impl fmt::Display for WarningReport {
         if let Some(axis) = &self.axis {
             write!(f, ", axis {axis}")?;
         }
-        write!(f, ": {}, at {:.3} s", self.what, self.time_s)?;
+        write!(f, ": {}", self.what)?;
+        if let Some(time) = self.time_s {
+            write!(f, ", at {time:.3} s")?;
+        }
         if self.count > 1 {
             write!(f, " and {} times more", self.count - 1)?;
         }
@@ -500,14 +510,29 @@ pub struct BusReport {
 
 impl BusReport {
     /// A warning of errors on a CAN bus.
-    fn trouble(&self) -> Option<String> {
+    fn trouble(&self) -> Option<WarningReport> {
         let Self { name, errors, error_passive, bus_off, .. } = self;
         let troubled = self.lines.is_none() && errors + error_passive + bus_off > 0;
-        troubled.then(|| {
-            format!(
-                "bus {name}: {errors} error frames, error passive {error_passive} times, bus off {bus_off} times: check bit \
-                 rate, termination, cables, and power of the nodes"
-            )
+        troubled.then(|| WarningReport {
+            bus: name.clone(),
+            axis: None,
+            node: None,
+            code: None,
+            register: None,
+            time_s: None,
+            count: 1,
+            what: format!(
+                "{}, error passive {}, bus off {}: check bit rate, termination, cables, and power of the nodes",
+                counted(*errors, "error frame"),
+                counted(*error_passive, "time"),
+                counted(*bus_off, "time")
+            ),
         })
     }
+}
+
+/// A number with its noun, whose plural ends in s.
+fn counted<N: Copy + fmt::Display + From<u8> + PartialEq>(number: N, noun: &str) -> String {
+    let plural = if number == N::from(1) { "" } else { "s" };
+    format!("{number} {noun}{plural}")
 }

@@ -4,7 +4,7 @@ use std::fmt::{Display, Write as _};
 
 use servo::Timing;
 
-use super::{BusReport, CycleState, Deviation, FaultReport, RunReport, Tracks, plots, text::rounded};
+use super::{BusReport, CycleState, Deviation, FaultReport, RunReport, Tracks, counted, plots, text::rounded};
 use crate::cell::printable;
 use crate::charts::{ChartError, escaped};
 
@@ -44,12 +44,12 @@ pub(crate) fn page(report: &RunReport, tracks: &Tracks, timing: &Timing) -> Resu
         paragraph(&mut page, format_args!("{} further motions were slowed.", report.more_slowed));
     }
     list(&mut page, "Oscillations", &report.oscillations);
-    let troubles: Vec<_> = report.buses.iter().filter_map(BusReport::trouble).collect();
-    list(&mut page, "Errors on buses", &troubles);
+    list(&mut page, "Device configurations", &report.configurations);
+    let flaws: Vec<_> = report.configurations.iter().flat_map(|configuration| configuration.warnings()).collect();
+    list(&mut page, "Flaws of device configuration files", &flaws);
     list(&mut page, "Warnings", &report.warnings);
     if report.more_warnings > 0 {
-        let more = report.more_warnings;
-        paragraph(&mut page, format_args!("{more} further reports of drives."));
+        paragraph(&mut page, format_args!("{} of drives.", counted(report.more_warnings, "further report")));
     }
     list(&mut page, "Faults of the scenario that have not acted", &report.idle_faults);
     list(&mut page, "Denied by the host", &report.denied);

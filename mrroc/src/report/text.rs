@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use super::{BusReport, Deviation, Percentiles, RobotReport, RunReport};
+use super::{Deviation, Percentiles, RobotReport, RunReport, counted};
 
 /// `irb6  tool 0.12 mm rms, 0.45 mm peak; 0.01° rms, 0.05° peak`
 impl fmt::Display for RobotReport {
@@ -102,6 +102,9 @@ impl fmt::Display for RunReport {
         for wire in &self.wire {
             write!(f, "{wire}")?;
         }
+        for configuration in &self.configurations {
+            writeln!(f, "configuration: {configuration}")?;
+        }
         for denied in &self.denied {
             writeln!(f, "denied: {denied}")?;
         }
@@ -109,19 +112,16 @@ impl fmt::Display for RunReport {
             writeln!(f, "slowed: {slowed}")?;
         }
         if self.more_slowed > 0 {
-            writeln!(f, "slowed: {} further motions", self.more_slowed)?;
+            writeln!(f, "slowed: {}", counted(self.more_slowed, "further motion"))?;
         }
         for oscillation in &self.oscillations {
             writeln!(f, "warning: {oscillation}")?;
-        }
-        for trouble in self.buses.iter().filter_map(BusReport::trouble) {
-            writeln!(f, "warning: {trouble}")?;
         }
         for warning in &self.warnings {
             writeln!(f, "warning: {warning}")?;
         }
         if self.more_warnings > 0 {
-            writeln!(f, "warning: {} further reports of drives", self.more_warnings)?;
+            writeln!(f, "warning: {} of drives", counted(self.more_warnings, "further report"))?;
         }
         for idle in &self.idle_faults {
             writeln!(f, "warning: {idle}")?;
@@ -145,7 +145,29 @@ impl fmt::Display for RunReport {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::report::Subject;
+    use crate::report::{BusReport, Subject};
+
+    #[test]
+    fn errors_of_a_bus_are_told_in_the_right_number() {
+        let of = |errors, error_passive, bus_off| BusReport {
+            name: "arm".into(),
+            lines: None,
+            frames: 0,
+            load_percent: 0.0,
+            worst_case_percent: 0.0,
+            dropped_setpoints: 0,
+            missed_answers: 0,
+            errors,
+            error_passive,
+            bus_off,
+        };
+        let told = |bus: BusReport| bus.trouble().unwrap().to_string();
+        assert!(told(of(1, 0, 1)).starts_with("bus arm: 1 error frame, error passive 0 times, bus off 1 time: check"));
+        assert!(told(of(2, 1, 0)).starts_with("bus arm: 2 error frames, error passive 1 time, bus off 0 times: check"));
+        assert!(of(0, 0, 0).trouble().is_none());
+        let json = serde_json::to_value(of(1, 0, 1).trouble()).unwrap();
+        assert_eq!((&json["bus"], &json["node"], &json["count"]), (&"arm".into(), &().into(), &1.into()), "{json}");
+    }
 
     #[test]
     fn a_robot_has_one_line_with_its_errors_in_mm_and_degrees() {

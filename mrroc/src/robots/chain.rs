@@ -1,5 +1,5 @@
-//! What emulates a chain that a cell describes. The emulator takes the numbers of the description, and computes with them
-//! by itself.
+//! Emulation of a chain that a cell describes. The emulator takes the numbers of the description, and shares no
+//! computation with the controller.
 
 use std::sync::Arc;
 
@@ -8,7 +8,7 @@ use hil::plant::{ChainBodies, ChainBodyJoint, ChainError, NominalJoint};
 use hil::{AxisConfig, MechanismConfig};
 use nalgebra::{DMatrix, UnitQuaternion, Vector3};
 
-/// The links of the chain as one mechanism; `None` where the description knows no mass.
+/// The links of the chain as one mechanism; `None` if the description has no masses.
 pub(super) fn mechanism(given: &ChainParameters) -> Result<Option<MechanismConfig>, ChainError> {
     if given.joints.iter().all(|joint| joint.body.is_none()) {
         return Ok(None);
@@ -48,7 +48,7 @@ pub(super) fn plant(given: &ChainParameters, number: usize) -> AxisConfig {
     AxisConfig::nominal(&demand(given, number)).expect(SOUND)
 }
 
-/// What a joint demands of its nominal motor, by the description where it says so.
+/// Requirements of a joint on its nominal motor, from the description where it states them.
 fn demand(given: &ChainParameters, number: usize) -> NominalJoint {
     let joint = &given.joints[number];
     let is_linear = joint.kind == LinkKind::Prismatic;
@@ -64,7 +64,7 @@ fn demand(given: &ChainParameters, number: usize) -> NominalJoint {
     let has_ends = joint.kind != LinkKind::Continuous && given.motors_from_joints.is_none();
     NominalJoint {
         ratio,
-        // A load of which nothing is known takes a quarter of the effort.
+        // The acceleration of an unknown load takes a quarter of the effort.
         inertia: if inertia > 0.0 { inertia } else { 0.25 * effort * RISE / velocity },
         velocity,
         effort,
@@ -76,10 +76,10 @@ fn demand(given: &ChainParameters, number: usize) -> NominalJoint {
 /// Time from rest to the greatest velocity, s, of a joint whose effort is unknown.
 const RISE: f64 = 0.5;
 
-/// Least effort of such a joint, N·m or N.
+/// Least effort of a joint whose effort is unknown, N·m or N.
 const LEAST_EFFORT: f64 = 5.0;
 
-/// Upper bounds of what a joint carries, whatever the pose.
+/// Upper bounds of the load of a joint in any pose.
 struct Load {
     /// N·m or N.
     weight: f64,
@@ -87,7 +87,7 @@ struct Load {
     inertia: f64,
 }
 
-/// The links behind joint `number` at their greatest distances from it.
+/// Load of the links behind joint `number`, at their greatest distances from the joint.
 fn load(given: &ChainParameters, number: usize) -> Load {
     let is_linear = given.joints[number].kind == LinkKind::Prismatic;
     let (mut reach, mut weight, mut inertia) = (0.0, 0.0, 0.0);

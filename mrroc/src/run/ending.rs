@@ -33,6 +33,11 @@ pub struct Requests {
 }
 
 impl Requests {
+    /// Requests to a run that ends once `stop` is set.
+    pub(crate) fn stopped_by(stop: &Arc<AtomicBool>) -> Self {
+        Self { stop: Arc::clone(stop), ..Self::default() }
+    }
+
     /// Ends the run: the servo brakes every robot within its limits and switches it off.
     pub fn stop(&self) {
         self.stop.store(true, Ordering::Relaxed);

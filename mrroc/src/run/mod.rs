@@ -73,6 +73,7 @@ use crate::bench::{Bench, BenchKind};
 use crate::cell::CellFile;
 use crate::guardian::{Guardian, GuardianFault, Pulse};
 use crate::outputs::Outputs;
+use crate::rehearsal::Rehearsed;
 use crate::report::{FaultReport, IncompleteFile, RunEnd, RunOutcome, RunReport, Tracks};
 use crate::scenario::{Scenario, ScenarioProbe};
 use crate::tasks::Program;
@@ -148,7 +149,10 @@ pub fn run(
         let set = requests.speed.set(fraction);
         set.map_err(|_| anyhow!("--speed is a percentage, at least {LEAST_SPEED} and at most 100, not {percent}"))?;
     }
-    let rehearsed = rehearsal::rehearse(file, program)?;
+    let rehearsed = match options.rehearse_with_scene {
+        true => rehearsal::rehearse_with_scene(file, program, &requests.stop)?,
+        false => rehearsal::rehearse(file, program)?,
+    };
     file.configuration_warnings().for_each(|warning| streams::warn(format_args!("mrroc: {warning}")));
     // Payloads and surroundings of the cell file are those of emulated robots.
     if matches!(options.bench, BenchKind::Lockstep | BenchKind::Emulated) {
@@ -157,6 +161,18 @@ pub fn run(
     if options.trace.is_some() && file.cell.bus.is_empty() {
         streams::warn("--trace stays empty: it has the frames of CAN buses, and the cell has none");
     }
+    run_rehearsed(file, options, requests, program, (&rehearsed, scenario.as_ref()), progress)
+}
+
+/// Runs a task that was rehearsed.
+pub(crate) fn run_rehearsed(
+    file: &CellFile,
+    options: &RunOptions,
+    requests: &Requests,
+    program: &Program,
+    (rehearsed, scenario): (&Rehearsed, Option<&Scenario>),
+    progress: &mut dyn FnMut(Progress),
+) -> anyhow::Result<RunReport> {
     let budget = budget::check(file)?;
     let mut outputs = Outputs::new(options.replacement);
     outputs.reads(file);
@@ -175,7 +191,7 @@ pub fn run(
     let mut bench = Bench::open(file, options.bench, &options.places, options.trace.is_some() || is_recorded)?;
     let lines = if is_recorded { bench.trace_lines() } else { Vec::new() };
     let cameras = Cameras::open(file, options.bench, bench.emulation.as_mut())?;
-    let played = match (&scenario, &mut bench.emulation) {
+    let played = match (scenario, &mut bench.emulation) {
         (Some(scenario), Some(emulation)) => emulation.play(scenario, file)?,
         _ => ScenarioProbe::default(),
     };
@@ -208,7 +224,7 @@ pub fn run(
         links,
         (devices.io, sensors, devices.matrices, cameras.links()),
         &servo,
-        &rehearsed,
+        rehearsed,
     );
     let step_file = named("--steps", &options.steps, "events");
     let steps = steps.map(|sink| StepFile::new(step_file, sink, file, task.keep_steps(STEPS))).transpose();

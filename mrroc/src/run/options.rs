@@ -20,6 +20,10 @@ pub struct RunOptions {
     /// Move at this percentage of the programmed speed: 0.1 to 100.
     #[cfg_attr(feature = "command-line", arg(long, value_name = "PERCENT"))]
     pub speed: Option<f64>,
+    /// Rehearse the task with the emulated scene of the cell too, before anything moves: with contact, sensors and the
+    /// torques of the emulated drives. This takes as long as a run with --bench lockstep.
+    #[cfg_attr(feature = "command-line", arg(long))]
+    pub rehearse_with_scene: bool,
     /// Write every frame to this file, as candump does.
     #[cfg_attr(feature = "command-line", arg(long, value_name = "FILE"))]
     pub trace: Option<PathBuf>,

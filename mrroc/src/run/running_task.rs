@@ -22,8 +22,8 @@ use crate::cell::CellFile;
 use crate::rehearsal::{Course, Rehearsed, homes, rehearse_again};
 use crate::report::FaultReport;
 use crate::report::slowed::{self, SlowedMotion};
-use crate::setup;
 use crate::tasks::{Equipment, Figures, Program, TaskError};
+use crate::{setup, streams};
 
 /// A task that is to run.
 pub(crate) struct RunningTask {
@@ -72,6 +72,8 @@ pub struct Progress {
     pub phase: Phase,
     /// Number of instructions that ended since the last report.
     pub ended: u64,
+    /// Whether a generator of one of these instructions commanded the robot.
+    pub moved: bool,
     /// Number of instructions of all robots in the rehearsal.
     pub expected: u64,
 }
@@ -88,6 +90,8 @@ pub(super) enum Rehearsals {
     AtOnce,
     /// On another thread. The robot waits.
     Aside { ask: SyncSender<Question>, verdicts: Receiver<Verdict> },
+    /// Nowhere, since the run itself is a rehearsal.
+    Unneeded,
 }
 
 /// The thread of the rehearsals takes no question or gives no verdict.
@@ -175,6 +179,7 @@ impl RunningTask {
             speed,
             figures,
         };
+        let rehearsals = if program.with_scene { Rehearsals::Unneeded } else { rehearsals };
         let mut executor = program.begin(&file, equipment, false, turns);
         let robots = homes(&file).into_iter().zip(moved).map(|(home, moved)| RunningRobot::at(home, moved));
         let robots: Vec<_> = robots.collect();
@@ -230,6 +235,8 @@ struct RunningRobot {
     phase: Phase,
     /// Number of instructions that ended.
     ended: u64,
+    /// Whether a generator of an instruction that ended commanded the robot, and was not told yet.
+    moved: bool,
     /// Number of times that the drives were switched on.
     switched_on: usize,
     /// Where the rehearsals have the robot at its next motion; `None` if no rehearsal has it anywhere.
@@ -249,6 +256,7 @@ impl RunningRobot {
         Self {
             phase: Phase::Off,
             ended: 0,
+            moved: false,
             switched_on: 0,
             expected: moved.then_some(home.motors),
             tolerance: home.tolerance,
@@ -295,10 +303,11 @@ impl Carrying {
         let before: Vec<_> = robots.iter().map(|it| (it.phase, it.ended)).collect();
         let mut waiting = Vec::new();
         let busy = executor.poll(now, |ecp, news| match news {
-            News::Ended { robot, .. } => {
+            News::Ended { robot, moved } => {
                 let it = &mut robots[robot];
                 it.enter(ecp.status().phase);
                 it.ended += 1;
+                it.moved |= moved;
                 match ecp.take_slowed() {
                     Some(part) if listed.len() < slowed::MOST => listed.push(SlowedMotion { robot, time_s, part }),
                     Some(_) => *more += 1,
@@ -328,7 +337,8 @@ impl Carrying {
                 executor.hold(robot, true);
             }
             if it.ended > ended || it.phase != phase {
-                tell(Progress { robot, phase: it.phase, ended: it.ended - ended, expected });
+                let moved = take(&mut it.moved);
+                tell(Progress { robot, phase: it.phase, ended: it.ended - ended, moved, expected });
             }
         }
         for robot in waiting {
@@ -353,6 +363,11 @@ impl Carrying {
         let (ended, mut noted) = self.executor.finish();
         let (file, mut faults) = (&*self.file, self.refusals);
         let error = match ended {
+            // The rehearsal with the scene ends here.
+            Some(Ended::Task(Err(TaskError::NotRehearsed { why }))) => {
+                streams::warn(format_args!("mrroc: the task is not rehearsed with the scene up to its end: {why}"));
+                None
+            }
             Some(Ended::Task(Err(error))) => Some(error),
             // The refusal was noted when it was found.
             Some(Ended::System(SystemError::RefusedFromHere { .. })) => None,
@@ -390,6 +405,7 @@ impl Carrying {
     fn ask(&mut self, robot: usize) {
         let courses = self.robots.iter().map(|robot| robot.course.clone()).collect();
         match &self.rehearsals {
+            Rehearsals::Unneeded => self.verdicts.push((robot, Ok(()))),
             Rehearsals::AtOnce => {
                 let never = Arc::default();
                 self.verdicts.push((robot, rehearse_again(&self.file, &self.program, courses, &never)));

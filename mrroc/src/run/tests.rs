@@ -40,11 +40,13 @@ impl Stage {
         let drives = |bus| Box::new(IdealDrives::of(&file, bus, &courses, &faults)) as Box<dyn DriveGroup>;
         let (mut servo, links) = Servo::new(&setup::servo_config(&file), vec![drives(0), drives(1)]).unwrap();
         let rehearsed = Rehearsed {
-            duration: Duration::ZERO,
+            duration: None,
+            with_scene: None,
             instructions: 8,
             moved: vec![moved; 2],
             refused: None,
             overloads: Vec::new(),
+            lags: Vec::new(),
             blocked: Duration::ZERO,
         };
         let task = RunningTask::new(

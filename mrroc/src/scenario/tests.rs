@@ -22,6 +22,7 @@ fn refusal(fault: &str) -> String {
 fn a_wrong_scenario_is_refused_with_file_line_key_and_name() {
     let cases = [
         ("at = 1.0\nkind = \"lost\"\naxis = \"rnt/leg-1\"", "accepted"),
+        ("at = 1.0\nkind = \"lost\"\naxis = \"rnt.leg-1\"", "accepted"),
         ("at = 1.0\nkind = \"lost\"\nbus = \"rnt\"\nnode = 1\ncount = 3", "accepted"),
         ("when = \"cruising\"\nkind = \"torn\"\naxis = \"irb6/column\"\nduration = 0.1", "accepted"),
         (

@@ -154,6 +154,12 @@ impl Cell {
         self.desk.rehearsing
     }
 
+    /// Whether the tool can touch something, and objects can be before the sensors: in a run, and in a rehearsal with the
+    /// scene (`--rehearse-with-scene`). Any other rehearsal has no surroundings.
+    pub fn has_surroundings(&self) -> bool {
+        self.desk.surroundings
+    }
+
     /// Ends a rehearsal here with success: the rest of the task is not rehearsed. In a run the call has no effect. The
     /// call is for tasks with a partner that a rehearsal does not provide, such as an operator. `why` appears in the
     /// error that ends the rehearsal.

@@ -125,6 +125,27 @@ impl ForceSensor {
         }
     }
 
+    /// Changes the part that the tool carries beside the `tool` of the cell file, for example after a gripper has closed or
+    /// opened: a point mass, kg, with its centre in the frame of the sensor, m. A mass of 0 is no part. Weight and inertia of
+    /// the part are compensated in readings from now on, and by the force law from its next motion on. The zero of the sensor
+    /// stays valid.
+    ///
+    /// Fails while the robot moves, if a number is not finite, if the mass is negative, and if the weight of tool and part can
+    /// saturate the sensor.
+    ///
+    /// ```
+    /// # use mrroc::prelude::*;
+    /// # async fn pick(cell: &mut Cell) -> Outcome {
+    /// let wrist = cell.force_sensor("wrist")?;
+    /// // A part of 0.8 kg, 120 mm in front of the sensor.
+    /// wrist.set_payload(0.8, [0.0, 0.0, 0.12])?;
+    /// # Ok(())
+    /// # }
+    /// ```
+    pub fn set_payload(&self, mass: f64, centre: [f64; 3]) -> Outcome {
+        self.sensor.set_payload(mass, centre.into()).map_err(|error| self.failed(error))
+    }
+
     /// The fault of the sensor in the last servo cycle.
     pub fn fault(&self) -> Option<WrenchFault> {
         self.sensor.link().read().fault

@@ -82,12 +82,14 @@ pub struct Program {
     operator: Option<OperatorLink>,
     /// Where messages go without an operator.
     texts: Option<OperatorLink>,
+    /// Whether the run of the task is a rehearsal on the emulated cell with its scene.
+    pub(crate) with_scene: bool,
 }
 
 impl Program {
     /// A task in Rust.
     pub fn of(task: impl AsyncFn(&mut Cell) -> Outcome + Send + Sync + 'static) -> Self {
-        Self { task: Arc::new(task), of_file: false, operator: None, texts: None }
+        Self { task: Arc::new(task), of_file: false, operator: None, texts: None, with_scene: false }
     }
 
     /// The same task with an operator, who answers its questions.
@@ -102,6 +104,11 @@ impl Program {
         Self { texts: Some(texts), ..self }
     }
 
+    /// The same task, whose run is a rehearsal.
+    pub(crate) fn rehearsed_with_scene(self) -> Self {
+        Self { with_scene: true, ..self }
+    }
+
     /// The task on the robots of `file`, for a caller with a servo and a clock of its own. [`run`](crate::run::run) is the
     /// usual caller. `turns` counts the turns of the task, by which another thread detects a task that hangs.
     pub fn begin(
@@ -113,7 +120,12 @@ impl Program {
     ) -> Executor<TaskError> {
         let Equipment { subcontrollers, io, sensors, matrices, cameras, speed, figures } = equipment;
         let agents = Agents::new(subcontrollers);
-        let desk = Desk { link: self.operator.clone(), texts: self.texts.clone(), rehearsing };
+        let desk = Desk {
+            link: self.operator.clone(),
+            texts: self.texts.clone(),
+            rehearsing: rehearsing || self.with_scene,
+            surroundings: !rehearsing,
+        };
         let devices = (io, sensors, matrices, cameras);
         let (task, mut cell) = (Arc::clone(&self.task), Cell::new(file, agents.clone(), devices, speed, figures, desk));
         Executor::new(agents, async move { task.carry(&mut cell).await }, turns)

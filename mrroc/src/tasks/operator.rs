@@ -19,6 +19,8 @@ pub(super) struct Desk {
     /// Where messages go without an operator.
     pub(super) texts: Option<OperatorLink>,
     pub(super) rehearsing: bool,
+    /// Whether there are contact and objects before the sensors.
+    pub(super) surroundings: bool,
 }
 
 impl Desk {

@@ -114,14 +114,15 @@ enum Order {
 const ORDERS: &str = "record, move AXIS BY, or done";
 
 impl Order {
-    /// The order of a line. `axes` are the names of the robot's axes.
-    fn parse(line: &str, axes: &[&str]) -> Result<Self, String> {
+    /// The order of a line. `axes` are the names of the robot's axes. An axis is AXIS, ROBOT.AXIS or ROBOT/AXIS.
+    fn parse(line: &str, robot: &str, axes: &[&str]) -> Result<Self, String> {
         let words: Vec<_> = line.split_whitespace().collect();
         match words[..] {
             ["record"] => Ok(Self::Record),
             ["done"] => Ok(Self::Done),
             ["move", axis, by] => {
-                let index = axes.iter().position(|name| *name == axis);
+                let own = axis.strip_prefix(robot).and_then(|rest| rest.strip_prefix(['.', '/']));
+                let index = axes.iter().position(|name| *name == axis || Some(*name) == own);
                 let axis = index.ok_or_else(|| format!("no axis {axis:?}; axes are {}", axes.join(", ")))?;
                 let number = by.parse::<f64>().ok().filter(|by| by.is_finite());
                 let by = number.ok_or_else(|| format!("{by:?} is no displacement in rad or m"))?;
@@ -139,10 +140,7 @@ pub(super) async fn teach(cell: &mut Cell, joints: Option<JointConvention>) -> O
     let parameters: Parameters = cell.parameters_of(&["teach"])?;
     let path = parameters.path(cell);
     let mut robot = parameters.robot(cell)?;
-    let key = match cell.file().cell.task.contains_key("teach") {
-        true => cell::Path::to("task").then("teach").then("file"),
-        false => cell::Path::to("task").then("file"),
-    };
+    let key = cell.file().parameters_key(&["teach"]).then("file");
     if !parameters.replace && fs::symlink_metadata(&path).is_ok() {
         let problem = format!("{} is there already: name another, or set replace = true", path.display());
         return Err(cell.file().refuse(&key, problem).into());
@@ -267,7 +265,7 @@ async fn record(cell: &Cell, robot: &mut Robot, parameters: &Parameters, taught:
     let axes: Vec<_> = axes.iter().map(|axis| axis.name.as_str()).collect();
     loop {
         let line = cell.ask(Question::open(format!("{name}: {ORDERS}?"))).await?;
-        match Order::parse(&line, &axes) {
+        match Order::parse(&line, &name, &axes) {
             Ok(Order::Record) if taught.poses.len() == MOST_POSES => {
                 cell.tell(format!("a file has at most {MOST_POSES} poses"));
             }
@@ -309,9 +307,11 @@ async fn displace(robot: &mut Robot, parameters: &Parameters, axis: usize, by: f
 
 /// Homes the robot and executes the trajectory file. `joints` replaces the parameter of this name.
 pub(super) async fn replay(cell: &mut Cell, joints: Option<JointConvention>) -> Outcome {
-    let parameters: Parameters = cell.parameters_of(&["replay", "teach"])?;
+    const TABLES: [&str; 2] = ["replay", "teach"];
+    let parameters: Parameters = cell.parameters_of(&TABLES)?;
     let mut robot = parameters.robot(cell)?;
-    let motion = robot.motions().trajectory_of(&parameters.path(cell), joints.or(parameters.joints))?;
+    let remedy = format!("set {}, or give --joints", cell.file().parameters_key(&TABLES).then("joints"));
+    let motion = robot.motions().trajectory_of(&parameters.path(cell), joints.or(parameters.joints), &remedy)?;
     robot.enable().await?;
     robot.home().await?;
     robot.execute(motion).await?;
@@ -320,9 +320,29 @@ pub(super) async fn replay(cell: &mut Cell, joints: Option<JointConvention>) -> 
 
 #[cfg(test)]
 mod tests {
-    //! Orders.
+    //! Orders, and refusals of trajectory files.
 
     use super::*;
+    use crate::cell::CellFile;
+    use crate::rehearsal::rehearse;
+    use crate::tasks::CarriedTask;
+
+    const IRB6: &str = include_str!("../../../cells/irb6.toml");
+
+    #[test]
+    fn a_refused_joint_file_names_the_table_that_has_the_parameters() {
+        let directory = tempfile::tempdir().unwrap();
+        let joints = "JOINT\n1\nABSOLUTE\n1 1 1 1 1\n1 1 1 1 1\n0.3 -1.5 0.1 0.2 0\n";
+        fs::write(directory.path().join("irb6.trj"), joints).unwrap();
+        let (cell, _) = IRB6.split_once("[task]").unwrap();
+        for table in ["task.teach", "task.replay", "task"] {
+            let path = directory.path().join("cell.toml");
+            fs::write(&path, format!("{cell}[{table}]\nfile = \"irb6.trj\"\n")).unwrap();
+            let file = CellFile::read(&path).unwrap();
+            let said = format!("{:#}", rehearse(&file, &CarriedTask::Replay.program()).unwrap_err());
+            assert!(said.contains(&format!("inclinations: set {table}.joints, or give --joints")), "{said}");
+        }
+    }
 
     #[test]
     fn orders_are_words_of_the_operator_and_other_lines_are_refused_with_the_reason() {
@@ -331,13 +351,17 @@ mod tests {
             ("record", Ok(Order::Record)),
             (" move  lower-arm -0.25 ", Ok(Order::Move { axis: 1, by: -0.25 })),
             ("done", Ok(Order::Done)),
+            ("move irb6.column 0.3", Ok(Order::Move { axis: 0, by: 0.3 })),
+            ("move irb6/lower-arm 0.1", Ok(Order::Move { axis: 1, by: 0.1 })),
+            ("move irb6column 0.1", Err("no axis \"irb6column\"; axes are column, lower-arm")),
+            ("move irp6.column 0.1", Err("no axis \"irp6.column\"; axes are column, lower-arm")),
             ("", Err("\"\" is no order; orders are record, move AXIS BY, or done")),
             ("record 2", Err("\"record 2\" is no order; orders are record, move AXIS BY, or done")),
             ("move elbow 0.1", Err("no axis \"elbow\"; axes are column, lower-arm")),
             ("move column NaN", Err("\"NaN\" is no displacement in rad or m")),
         ];
         for (line, order) in table {
-            assert_eq!(Order::parse(line, &axes), order.map_err(str::to_owned), "{line:?}");
+            assert_eq!(Order::parse(line, "irb6", &axes), order.map_err(str::to_owned), "{line:?}");
         }
     }
 }

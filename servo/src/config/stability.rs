@@ -1,8 +1,9 @@
 //! Stability of a position loop that the servo closes, with the dead time of its drives.
 //!
 //! The loop is linear: limits, dry friction and the resolution of the encoder are left out. The motor is a lag: the
-//! feed-forward of acceleration and velocity states its inertia and its damping. A loop is accepted if it is stable with
-//! [`MARGIN`] times its gain.
+//! feed-forward of acceleration and velocity states its inertia and its damping. A loop is accepted if it is stable
+//! with [`MARGIN`] times its gain, and with its gain divided by [`MARGIN`]. The second condition concerns loops with
+//! integration, which are unstable if the velocity gain is too low for the inertia.
 //!
 //! Two loops are not checked: the incremental law, whose coefficients are no gains, and a cascade without a feed-forward of
 //! acceleration, whose motor has no known inertia.
@@ -11,11 +12,15 @@ use std::time::Duration;
 
 use super::refusal::{KeyError, Range, within};
 use super::{FeedForward, Law};
+use crate::regulator::CascadeConfig;
 
 /// Gain margin of an accepted loop, 6 dB.
 const MARGIN: f64 = 2.0;
-/// Cycles in which the response to a displacement and a velocity is computed. The first half is left out of the verdict.
-const CYCLES: usize = 2048;
+/// Least and greatest number of cycles in which the response to a displacement and a velocity is computed. The first half
+/// is left out of the verdict.
+const CYCLES: (usize, usize) = (2048, 65_536);
+/// Least duration of the response, in rad of the slowest oscillation: the half that is judged has six oscillations.
+const RESPONSE: f64 = 75.0;
 /// Longest dead time, cycles.
 const LONGEST: usize = 8;
 /// Bisections of the greatest gain that fits.
@@ -46,6 +51,13 @@ struct Linear {
     rate: f64,
 }
 
+impl Linear {
+    fn of(law: &CascadeConfig) -> Self {
+        let (gain, position, rate) = (law.velocity_gain, law.position_gain, law.integral_rate);
+        Self { gain, position, velocity: 1.0, rate }
+    }
+}
+
 impl LoopPlant {
     /// The motor under a law with this feed-forward.
     pub fn new(period: Duration, delay: usize, law: &Law, feed_forward: &FeedForward) -> Self {
@@ -53,8 +65,8 @@ impl LoopPlant {
         Self { period, delay, inertia: feed_forward.acceleration, damping }
     }
 
-    /// Refuses a law that is unstable with twice its gain, and names the greatest value of one key that fits. Keys are
-    /// those of a cell file below `law`. The law and its feed-forward have passed their other checks.
+    /// Refuses a law that is unstable with twice or half its gain. The error names the greatest value of one key that
+    /// fits. Keys are those of a cell file below `law`. The law and its feed-forward have passed their other checks.
     pub fn check(&self, law: &Law) -> Result<(), KeyError> {
         match *law {
             Law::Proportional(it) => {
@@ -67,17 +79,14 @@ impl LoopPlant {
                     ],
                 )
             }
-            Law::Cascade(it) if self.inertia > 0.0 => {
-                let (gain, position, rate) = (it.velocity_gain, it.position_gain, it.integral_rate);
-                self.judge(
-                    Linear { gain, position, velocity: 1.0, rate },
-                    [
-                        ("cascade.integral_rate", |it: &mut Linear| &mut it.rate),
-                        ("cascade.position_gain", |it| &mut it.position),
-                        ("cascade.velocity_gain", |it| &mut it.gain),
-                    ],
-                )
-            }
+            Law::Cascade(it) if self.inertia > 0.0 => self.judge(
+                Linear::of(&it),
+                [
+                    ("cascade.integral_rate", |it: &mut Linear| &mut it.rate),
+                    ("cascade.position_gain", |it| &mut it.position),
+                    ("cascade.velocity_gain", |it| &mut it.gain),
+                ],
+            ),
             Law::Incremental(_) | Law::Cascade(_) => Ok(()),
         }
     }
@@ -101,7 +110,11 @@ impl LoopPlant {
                     let middle = 0.5 * (fits + not);
                     *if with(middle) { &mut fits } else { &mut not } = middle;
                 }
-                let of = "a loop with a gain margin of 2 at this period and dead time";
+                let of = if self.fades(law, MARGIN) {
+                    "a loop that is stable with half its gain, or a greater velocity_gain for this inertia"
+                } else {
+                    "a loop with a gain margin of 2 at this period and dead time"
+                };
                 return within(key, given, Range::new(0.0, fits, of));
             }
             *field(&mut law) = 0.0;
@@ -109,49 +122,94 @@ impl LoopPlant {
         Ok(())
     }
 
-    /// Whether the velocity after a displacement and a velocity fades with [`MARGIN`] times the gain.
+    /// Whether the loop is stable with [`MARGIN`] times its gain, and with its gain divided by [`MARGIN`].
     fn is_stable(&self, law: Linear) -> bool {
-        let dt = self.period.as_secs_f64();
-        // Exact motion under a constant output. `kept` is the share of the velocity that is left after a period.
-        let fading = self.damping * dt / self.inertia;
-        let kept = (-fading).exp();
-        let mut outputs = [0.0; LONGEST];
-        let (mut position, mut velocity, mut last, mut integral) = (1.0, 1.0, 1.0, 0.0);
+        self.fades(law, MARGIN) && self.fades(law, 1.0 / MARGIN)
+    }
+
+    /// Number of cycles of the response under this law.
+    fn cycles(&self, law: Linear) -> usize {
+        let slowest = (law.gain * law.position / self.inertia).sqrt() * self.period.as_secs_f64();
+        let cycles = if slowest.is_finite() && slowest > 0.0 { (RESPONSE / slowest).ceil() } else { 0.0 };
+        (cycles as usize).clamp(CYCLES.0, CYCLES.1)
+    }
+
+    /// Whether the velocity after a displacement and a velocity fades with `factor` times the gain.
+    fn fades(&self, law: Linear, factor: f64) -> bool {
+        let law = Linear { gain: factor * law.gain, ..law };
+        let cycles = self.cycles(law);
+        let mut response = Response { position: 1.0, velocity: 1.0, last: 1.0, ..Response::default() };
         let mut greatest = [0.0_f64; 2];
-        for cycle in 0..CYCLES {
-            let s = -law.position * position - law.velocity * (position - last) / dt;
-            outputs.rotate_right(1);
-            outputs[0] = MARGIN * law.gain * (s + integral);
-            integral += law.rate * s * dt;
-            last = position;
-            let output = outputs[self.delay.clamp(1, LONGEST) - 1];
-            if self.inertia == 0.0 {
-                position += output / self.damping * dt;
-            } else if fading < 1e-6 {
-                let acceleration = output / self.inertia;
-                position += (velocity + 0.5 * acceleration * dt) * dt;
-                velocity += acceleration * dt;
-            } else {
-                let end = output / self.damping;
-                position += end * dt + (velocity - end) * (1.0 - kept) / fading * dt;
-                velocity = end + (velocity - end) * kept;
-            }
-            if !position.is_finite() {
+        for cycle in 0..cycles {
+            response.step(self, law, 0.0);
+            if !response.position.is_finite() {
                 return false;
             }
-            if cycle >= CYCLES / 2 {
-                let half = usize::from(cycle >= CYCLES * 3 / 4);
-                greatest[half] = greatest[half].max((position - last).abs());
+            if cycle >= cycles / 2 {
+                let half = usize::from(cycle >= cycles * 3 / 4);
+                greatest[half] = greatest[half].max((response.position - response.last).abs());
             }
         }
         greatest[1] <= greatest[0]
+    }
+
+    /// Greatest displacement of a motor at rest, rad, after a constant load begins to act. The load is in the unit of
+    /// the output. `None` for a loop that is unstable or not checked, and for a velocity loop of the drive.
+    pub fn sag(&self, law: &Law, load: f64) -> Option<f64> {
+        let Law::Cascade(cascade) = law else { return None };
+        let law = Linear::of(cascade);
+        let is_known = self.inertia > 0.0 && self.is_stable(law);
+        let mut response = Response::default();
+        let positions = (0..self.cycles(law)).map(|_| {
+            response.step(self, law, load);
+            response.position.abs()
+        });
+        is_known.then(|| positions.fold(0.0, f64::max))
+    }
+}
+
+/// Response of a loop without commands.
+#[derive(Default)]
+struct Response {
+    position: f64,
+    velocity: f64,
+    /// Position at the last sample.
+    last: f64,
+    integral: f64,
+    /// The last outputs, the newest first.
+    outputs: [f64; LONGEST],
+}
+
+impl Response {
+    /// Exact motion over a period under a constant output and a constant load.
+    fn step(&mut self, plant: &LoopPlant, law: Linear, load: f64) {
+        let dt = plant.period.as_secs_f64();
+        let s = -law.position * self.position - law.velocity * (self.position - self.last) / dt;
+        self.outputs.rotate_right(1);
+        self.outputs[0] = law.gain * (s + self.integral);
+        self.integral += law.rate * s * dt;
+        self.last = self.position;
+        let output = self.outputs[plant.delay.clamp(1, LONGEST) - 1] + load;
+        // Share of the velocity that is lost in a period is 1 - exp(-fading).
+        let fading = plant.damping * dt / plant.inertia;
+        if plant.inertia == 0.0 {
+            self.position += output / plant.damping * dt;
+        } else if fading < 1e-6 {
+            let acceleration = output / plant.inertia;
+            self.position += (self.velocity + 0.5 * acceleration * dt) * dt;
+            self.velocity += acceleration * dt;
+        } else {
+            let (kept, end) = ((-fading).exp(), output / plant.damping);
+            self.position += end * dt + (self.velocity - end) * (1.0 - kept) / fading * dt;
+            self.velocity = end + (self.velocity - end) * kept;
+        }
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::regulator::{CascadeConfig, ProportionalConfig};
+    use crate::regulator::ProportionalConfig;
 
     const FEED_FORWARD: FeedForward = FeedForward {
         velocity: 0.001,
@@ -209,5 +267,46 @@ mod tests {
         }
         let said = refused(proportional(200.0, 0.0), 3, 2000).unwrap().1;
         assert!(said.starts_with("is 200, must be between 0 and 14"), "{said}");
+    }
+
+    #[test]
+    fn a_load_moves_a_soft_loop_further_than_a_stiff_one() {
+        let sag = |velocity_gain, integral_rate| {
+            let law = Law::Cascade(CascadeConfig { velocity_gain, integral_rate, ..CASCADE });
+            LoopPlant::new(Duration::from_millis(2), 2, &law, &FEED_FORWARD).sag(&law, 0.4).unwrap()
+        };
+        // Without integration, the loop rests where gain * position gain * displacement is the load.
+        let rest = 0.4 / (CASCADE.velocity_gain * CASCADE.position_gain);
+        assert!((sag(CASCADE.velocity_gain, 0.0) / rest - 1.0).abs() < 0.02, "{}", sag(CASCADE.velocity_gain, 0.0));
+        let (stiff, soft) = (sag(CASCADE.velocity_gain, 10.0), sag(0.2 * CASCADE.velocity_gain, 10.0));
+        assert!(stiff < rest && soft > 4.0 * stiff && soft < 10.0 * stiff, "{stiff}, {soft}");
+        // An unstable loop does not come to rest.
+        let law = Law::Cascade(CascadeConfig { velocity_gain: 10.0 * CASCADE.velocity_gain, ..CASCADE });
+        assert_eq!(LoopPlant::new(Duration::from_millis(2), 2, &law, &FEED_FORWARD).sag(&law, 0.4), None);
+    }
+
+    #[test]
+    fn a_loop_that_integrates_is_refused_if_its_velocity_gain_is_too_low_for_the_inertia() {
+        // Without dead time and damping, s³ + ω s² + ω (p + r) s + ω p r is stable above ω = p r / (p + r), with the
+        // position gain p, the integral rate r, and the velocity gain over the inertia ω.
+        let least = CASCADE.position_gain * CASCADE.integral_rate / (CASCADE.position_gain + CASCADE.integral_rate);
+        let undamped = FeedForward { velocity: 0.0, ..FEED_FORWARD };
+        let check = |bandwidth: f64, integral_rate| {
+            let law = Law::Cascade(CascadeConfig {
+                velocity_gain: bandwidth * undamped.acceleration,
+                integral_rate,
+                ..CASCADE
+            });
+            LoopPlant::new(Duration::from_millis(2), 2, &law, &undamped).check(&law)
+        };
+        assert_eq!(check(2.3 * least, CASCADE.integral_rate), Ok(()));
+        let refused = check(1.7 * least, CASCADE.integral_rate).unwrap_err();
+        assert_eq!(refused.key, "cascade.integral_rate");
+        let said = refused.reason.to_string();
+        assert!(said.contains("must be between 0 and 6.") && said.contains("a greater velocity_gain"), "{said}");
+        // A loop without integration is stable with any gain, however slow.
+        for bandwidth in [1e-4, 1e-3, 0.01, 0.1, 1.0, 10.0] {
+            assert_eq!(check(bandwidth, 0.0), Ok(()), "{bandwidth}");
+        }
     }
 }

@@ -7,6 +7,7 @@ use super::{Effector, Tick};
 use crate::axis::ServoAxis;
 use crate::interpolate::Segment;
 use crate::limit::{self, RELATIVE_TOLERANCE};
+use crate::state::ServoState;
 use crate::{
     CycleLaw, Knot, LawAxis, LawBound, LawError, LawFault, LawInput, LawOutput, LawParameters, MAX_AXES, Macrostep,
     StopCause,
@@ -20,14 +21,59 @@ pub(crate) struct Installed {
     active: bool,
     /// The law panicked, and is not called again.
     panicked: bool,
-    /// Present displacements: positions, velocities and accelerations. All are at rest at zero while not `active`.
+    /// Present displacements: positions, velocities and accelerations. While the law is not `active`, all displacements
+    /// are at rest, and are zero unless `kept`.
     displacement: [Knot; MAX_AXES],
+    kept: Kept,
+}
+
+/// Whether the displacement is kept after the end of a motion.
+#[derive(Clone, Copy)]
+enum Kept {
+    /// The displacement is part of the path.
+    No,
+    /// The effector brakes to a stand because the law moved it at the end of the path, whose motor positions are given.
+    Braking(LawParameters, [f64; MAX_AXES]),
+    /// The effector stands beside the end of the path.
+    Standing(LawParameters),
 }
 
 impl Installed {
     /// Ends the law. The displacements remain in the set-points, and count as part of the path from now on.
     pub(super) fn end(&mut self) {
-        (self.active, self.displacement) = (false, [Knot::default(); MAX_AXES]);
+        (self.active, self.displacement, self.kept) = (false, [Knot::default(); MAX_AXES], Kept::No);
+    }
+
+    /// Ends the motion at a stand, or in braking to a stand from the end of the path at `path`, rad. The law decides
+    /// whether it keeps its displacement.
+    fn pause(&mut self, parameters: Option<&LawParameters>, braking: Option<[f64; MAX_AXES]>) {
+        let law = &self.law;
+        let keeps =
+            |parameters: &LawParameters| catch_unwind(AssertUnwindSafe(|| law.keeps(parameters))).unwrap_or(false);
+        let kept = parameters.filter(|parameters| self.active && !self.panicked && keeps(parameters));
+        let displacements = self.displacements();
+        self.end();
+        match (kept, braking) {
+            (None, _) => {}
+            (Some(parameters), Some(path)) => self.kept = Kept::Braking(*parameters, path),
+            (Some(parameters), None) => {
+                self.kept = Kept::Standing(*parameters);
+                self.displacement = displacements.map(Knot::at_rest);
+            }
+        }
+    }
+
+    /// The effector has come to a stand at the motor positions `stand`, rad.
+    fn stand(&mut self, stand: [f64; MAX_AXES]) {
+        if let Kept::Braking(parameters, path) = self.kept {
+            self.kept = Kept::Standing(parameters);
+            self.displacement = std::array::from_fn(|axis| Knot::at_rest(stand[axis] - path[axis]));
+        }
+    }
+
+    /// Whether a macrostep with these parameters can continue the displacement that the law has kept.
+    fn has_kept(&self, parameters: Option<&LawParameters>) -> bool {
+        matches!(&self.kept, Kept::Standing(kept) if Some(kept) == parameters)
     }
 
     /// Present displacements, rad.
@@ -72,7 +118,7 @@ impl Installed {
             }
             law.shift(input, parameters)
         }));
-        self.active = true;
+        (self.active, self.kept) = (true, Kept::No);
         shifted.unwrap_or_else(|_| {
             self.panicked = true;
             LawOutput::Fault(LawFault::Panicked)
@@ -89,9 +135,48 @@ impl Effector {
         }
         let none = LawBound { displacement: 0.0, speed: 0.0 };
         let bounds = std::array::from_fn(|axis| bounds.get(axis).copied().unwrap_or(none));
-        self.law =
-            Some(Installed { law, bounds, active: false, panicked: false, displacement: [Knot::default(); MAX_AXES] });
+        self.law = Some(Installed {
+            law,
+            bounds,
+            active: false,
+            panicked: false,
+            displacement: [Knot::default(); MAX_AXES],
+            kept: Kept::No,
+        });
         Ok(())
+    }
+
+    /// Ends the law with the change of state from `last` to `next`. A law that keeps its displacement does so at the
+    /// end of a path. If the law still moves the effector there, the displacement is also kept while the effector
+    /// brakes.
+    pub(super) fn leave_law(&mut self, last: ServoState, next: ServoState, segment: Option<&Segment>) {
+        let stand = self.each(|axis| axis.knot.position);
+        let Some(installed) = &mut self.law else {
+            return;
+        };
+        match (last, next) {
+            (ServoState::Moving, ServoState::Standing) => installed.pause(segment.and_then(Segment::law), None),
+            (ServoState::Moving, ServoState::Braking(_)) if self.settling => {
+                let path = segment.map(|segment| segment.end().knots.map(|knot| knot.position));
+                installed.pause(segment.and_then(Segment::law), path);
+            }
+            (ServoState::Braking(_), ServoState::Standing) if self.fault.is_none() => installed.stand(stand),
+            (_, ServoState::Moving) => {}
+            (_, _) => installed.end(),
+        }
+    }
+
+    /// Displacement from which `macrostep` continues, rad. A first macrostep of a motion that does not continue gives
+    /// up the kept displacement.
+    pub(super) fn continue_law(&mut self, macrostep: &Macrostep) -> [f64; MAX_AXES] {
+        match &mut self.law {
+            Some(installed) if macrostep.continues_law => installed.displacements(),
+            Some(installed) if !installed.active => {
+                installed.end();
+                [0.0; MAX_AXES]
+            }
+            _ => [0.0; MAX_AXES],
+        }
     }
 
     /// Whether a law displaces the set-points of the motion under way.
@@ -102,6 +187,10 @@ impl Effector {
     /// Checks whether the law of the effector can execute `macrostep`.
     pub(super) fn admit_law(&self, macrostep: &Macrostep) -> Result<(), StopCause> {
         let number = macrostep.number;
+        let kept = || self.law.as_ref().is_some_and(|installed| installed.has_kept(macrostep.law.as_ref()));
+        if macrostep.continues_law && !(self.state == ServoState::Standing && kept()) {
+            return Err(StopCause::Malformed { number });
+        }
         match (&self.law, &macrostep.law) {
             (_, None) if self.is_displaced() => Err(StopCause::LawLeft { number }),
             (_, None) => Ok(()),

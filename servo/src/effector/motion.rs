@@ -108,9 +108,10 @@ impl Effector {
                 Ok(()) => {}
                 // The law still moves the effector.
                 Err(_) if self.is_displaced() => {
+                    self.settling = true;
                     self.apply(tick, ServoEvent::Stop);
                     // The partners of a team have ended their motion too.
-                    (self.stopped, self.settling) = (false, true);
+                    self.stopped = false;
                     return Ok(());
                 }
                 Err(cause) => return Err((Some(index), cause)),
@@ -133,10 +134,12 @@ impl Effector {
             // Bumpless transfer: the torque that loops hold since homing or since a stop moves into the feed-forward.
             self.axes.iter_mut().zip(macrostep.torque).for_each(|(axis, torque)| axis.hand_over(torque));
         }
+        let displaced = self.continue_law(&macrostep);
         let start = self.segment.as_ref().map_or_else(
-            || Start {
-                knots: self.each(|axis| Knot::new(axis.knot.position, axis.knot.velocity)),
-                torque: self.each(|axis| axis.torque),
+            || {
+                let mut knots = self.each(|axis| Knot::new(axis.knot.position, axis.knot.velocity));
+                knots.iter_mut().zip(displaced).for_each(|(knot, by)| knot.position -= by);
+                Start { knots, torque: self.each(|axis| axis.torque) }
             },
             Segment::end,
         );

@@ -51,6 +51,8 @@ impl Effector {
                 self.counters.refused_orders += 1;
             } else if matches!(order, Order::Stop | Order::Disable) {
                 self.stopped = true;
+                // A stop also gives up the displacement that a law has kept at a stand.
+                self.law.iter_mut().for_each(super::law::Installed::end);
                 self.fault = self.fault.filter(|_| !self.needs_acknowledgement());
             }
         }

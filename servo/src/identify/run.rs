@@ -72,6 +72,7 @@ impl Run {
             acceleration: None,
             torque: [0.0; MAX_AXES],
             law: None,
+            continues_law: false,
         })
     }
 

@@ -41,8 +41,8 @@ impl ProportionalConfig {
 pub struct CascadeConfig {
     /// Velocity asked for per position error, 1/s.
     pub position_gain: f64,
-    /// Output per velocity error, 1/(rad/s). The loop is stable with twice this gain, for a motor whose inertia and
-    /// damping are those of `feed_forward`.
+    /// Output per velocity error, 1/(rad/s). The loop is stable with twice and with half this gain, for a motor whose
+    /// inertia and damping are those of `feed_forward`.
     pub velocity_gain: f64,
     /// How fast the velocity error is integrated, 1/s; zero for not at all.
     pub integral_rate: f64,

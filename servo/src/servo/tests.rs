@@ -4,6 +4,7 @@ mod brakes;
 mod envelope;
 mod host_homing;
 mod host_loops;
+mod kept_laws;
 mod laws;
 mod limit_switches;
 mod motion;
@@ -182,7 +183,17 @@ impl TwoBuses {
 fn macrostep(number: u64, steps: u16, position: f64, velocity: f64) -> Macrostep {
     let (position, velocity) = ([position; MAX_AXES], [velocity; MAX_AXES]);
     let torque = [0.0; MAX_AXES];
-    Macrostep { number, steps, report_at: steps, position, velocity, acceleration: None, torque, law: None }
+    Macrostep {
+        number,
+        steps,
+        report_at: steps,
+        position,
+        velocity,
+        acceleration: None,
+        torque,
+        law: None,
+        continues_law: false,
+    }
 }
 
 /// Checks that the first and second difference of a sequence exceed the limits by at most a thousandth.
@@ -219,6 +230,7 @@ fn control_sees_the_nominal_period_and_records_have_the_real_one() {
                     acceleration: None,
                     torque: [0.0; MAX_AXES],
                     law: None,
+                    continues_law: false,
                 };
                 orders.push(Order::Move(macrostep)).unwrap();
             }

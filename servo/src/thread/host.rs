@@ -1,7 +1,7 @@
 //! Real-time settings of the host that a thread requests, and the requests that the host denied.
 
 use std::fmt;
-use std::fs::{File, OpenOptions};
+use std::fs::{self, File, OpenOptions};
 use std::hint;
 use std::io::{self, Write};
 use std::time::Duration;
@@ -55,6 +55,10 @@ pub enum Limit {
     LockedMemory,
 }
 
+/// The program of the package. The units of the package grant no capability, and therefore could not start a program
+/// with a capability.
+const PACKAGED: &str = "/usr/bin/mrroc";
+
 /// Instructions for granting a [`Limit`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Grant(pub Limit);
@@ -68,7 +72,7 @@ impl fmt::Display for Grant {
         write!(
             f,
             "grant it with the line `{}` in {LIMITS}, the user in group realtime and a new login, or, for a \
-             program that no unit starts, with `setcap {capability}+ep`",
+             program of your own and never for the packaged {PACKAGED}, with `setcap {capability}+ep`",
             self.0
         )
     }
@@ -82,13 +86,11 @@ impl fmt::Display for DeadlineGrant {
         f.write_str(match self.0 {
             libc::EPERM => {
                 "no line of limits grants it: CAP_SYS_NICE does, in a unit by AmbientCapabilities= and \
-                 CapabilityBoundingSet=, on a program that no unit starts by `setcap cap_sys_nice+ep`; with all CPUs in \
-                 its affinity, so without `taskset`"
+                 CapabilityBoundingSet=, on a program of your own and never on the packaged /usr/bin/mrroc by \
+                 `setcap cap_sys_nice+ep`; with all CPUs in its affinity, so without `taskset`"
             }
             libc::EBUSY => "other deadline threads have reserved the time of the CPUs; end one of them",
-            libc::EINVAL => {
-                "the period must be within /proc/sys/kernel/sched_deadline_period_min_us and _max_us"
-            }
+            libc::EINVAL => "the period must be within /proc/sys/kernel/sched_deadline_period_min_us and _max_us",
             _ => "the kernel must have it, and a seccomp filter must not deny sched_setattr",
         })
     }
@@ -104,6 +106,13 @@ pub enum Denial {
         Grant(Limit::Priority(*priority))
     )]
     Fifo { priority: u8, errno: i32 },
+    /// SCHED_FIFO with `EPERM`, although limits and capabilities of the process permit this priority.
+    #[error(
+        "SCHED_FIFO priority {priority} was denied (errno 1), although limits or capabilities of this process permit it: \
+         neither helps in a control group without real-time run time (CONFIG_RT_GROUP_SCHED), nor does a capability of a \
+         user namespace; row \"real-time group scheduling\" of `mrroc doctor` says how to leave the group"
+    )]
+    FifoInGroup { priority: u8 },
     /// SCHED_DEADLINE; `EPERM` without CAP_SYS_NICE or with less than all CPUs, `EBUSY` if other deadline threads leave
     /// too little time.
     #[error(
@@ -171,7 +180,10 @@ pub fn set_deadline(period: Duration) -> Result<(), Denial> {
 /// Puts the calling thread under SCHED_FIFO at this priority. This function is for threads that the servo needs, such
 /// as the controller's, each at a lower priority than the servo.
 pub fn set_fifo(priority: u8) -> Result<(), Denial> {
-    let denial = |errno| Denial::Fifo { priority, errno };
+    let denial = |errno| {
+        let text = |path| fs::read_to_string(path).unwrap_or_default();
+        fifo_denial(priority, errno, &text("/proc/self/limits"), &text("/proc/thread-self/status"))
+    };
     let value = ThreadPriorityValue::try_from(priority).map_err(|_| denial(libc::EINVAL))?;
     let policy = ThreadSchedulePolicy::Realtime(RealtimeThreadSchedulePolicy::Fifo);
     let priority = ThreadPriority::Crossplatform(value);
@@ -182,6 +194,26 @@ pub fn set_fifo(priority: u8) -> Result<(), Denial> {
         })
     })?;
     reset_on_fork(value.into()).map_err(denial)
+}
+
+/// Bit of CAP_SYS_NICE in a set of capabilities (`linux/capability.h`).
+const CAP_SYS_NICE: u32 = 23;
+
+/// The denial of SCHED_FIFO to a process with these texts of `/proc/self/limits` and `/proc/self/status`. In a control
+/// group without real-time run time, the kernel also denies a priority that limits and capabilities permit (sched(7)).
+fn fifo_denial(priority: u8, errno: i32, limits: &str, status: &str) -> Denial {
+    let field = |text: &str, name: &str| {
+        let line = text.lines().find_map(|line| line.strip_prefix(name));
+        line.and_then(|line| line.split_whitespace().next()).map(str::to_owned)
+    };
+    let is_within = |limit: String| limit == "unlimited" || limit.parse().is_ok_and(|limit: u8| limit >= priority);
+    let limit = field(limits, "Max realtime priority").is_some_and(is_within);
+    let capabilities = field(status, "CapEff:").and_then(|set| u64::from_str_radix(&set, 16).ok());
+    let capability = capabilities.is_some_and(|set| set >> CAP_SYS_NICE & 1 == 1);
+    match (limit || capability) && errno == libc::EPERM {
+        true => Denial::FifoInGroup { priority },
+        false => Denial::Fifo { priority, errno },
+    }
 }
 
 /// Keeps threads and processes started by this thread from inheriting SCHED_FIFO.
@@ -233,4 +265,52 @@ fn check(result: libc::c_int) -> Result<(), i32> {
 #[inline(never)]
 fn prefault_stack() {
     hint::black_box(&mut [0u8; PREFAULTED]);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const NO_LIMIT: &str = "Max file locks            unlimited            unlimited            locks     \n\
+        Max realtime priority     0                    0                    \n";
+    const ROOT: &str = "Name:\tmrroc\nCapPrm:\t000001ffffffffff\nCapEff:\t000001ffffffffff\n";
+    const USER: &str = "Name:\tmrroc\nCapPrm:\t0000000000000000\nCapEff:\t0000000000000000\n";
+
+    #[test]
+    fn a_limit_is_no_remedy_where_limits_and_capabilities_permit_the_priority_already() {
+        let granted = NO_LIMIT.replace("priority     0 ", "priority     80");
+        let unlimited = NO_LIMIT.replace("priority     0        ", "priority     unlimited");
+        let (priority, eperm) = (80, libc::EPERM);
+        let table = [
+            (NO_LIMIT, USER, eperm, false),
+            (NO_LIMIT, ROOT, eperm, true),
+            (granted.as_str(), USER, eperm, true),
+            (&unlimited, USER, eperm, true),
+            (&granted.replace("80", "79"), USER, eperm, false),
+            // A priority that does not exist.
+            (NO_LIMIT, ROOT, libc::EINVAL, false),
+            ("", "", eperm, false),
+        ];
+        for (limits, status, errno, in_group) in table {
+            let denial = fifo_denial(priority, errno, limits, status);
+            let expected = if in_group { Denial::FifoInGroup { priority } } else { Denial::Fifo { priority, errno } };
+            assert_eq!(denial, expected, "{limits} {status}");
+            let said = denial.to_string();
+            assert_eq!(said.contains("real-time group scheduling"), in_group, "{said}");
+            assert_eq!(said.contains("setcap") || said.contains("rtprio"), !in_group, "{said}");
+        }
+    }
+
+    #[test]
+    fn no_capability_is_advised_for_the_packaged_program() {
+        let (runtime, period) = (Duration::from_micros(900), Duration::from_millis(1));
+        for denial in [
+            Denial::Fifo { priority: 80, errno: libc::EPERM },
+            Denial::LockMemory { errno: libc::ENOMEM },
+            Denial::Deadline { runtime, period, errno: libc::EPERM },
+        ] {
+            let said = denial.to_string();
+            assert!(said.contains("never") && said.contains("the packaged /usr/bin/mrroc"), "{said}");
+        }
+    }
 }

@@ -276,7 +276,8 @@ fn what_is_required_and_denied_is_named_before_any_cycle() {
         match denial {
             Denial::Cpu { cpu: denied, .. } => assert_eq!(Some(denied), cpu),
             Denial::Fifo { .. } => assert!(denial.to_string().contains("rtprio"), "{denial}"),
-            Denial::Deadline { .. }
+            Denial::FifoInGroup { .. }
+            | Denial::Deadline { .. }
             | Denial::LockMemory { .. }
             | Denial::TimerSlack { .. }
             | Denial::CpuLatency { .. } => panic!("{denial}"),
@@ -315,7 +316,8 @@ fn a_thread_really_has_what_was_not_denied() {
     let granted = |which: fn(&Denial) -> bool| !finished.denied.iter().any(which);
     let fifo = libc::SCHED_FIFO | libc::SCHED_RESET_ON_FORK;
     let is_fifo = (scheduler, priority) == (fifo, 42);
-    assert_eq!(is_fifo, granted(|one| matches!(one, Denial::Fifo { .. })), "{scheduler:#x} {priority}");
+    let denied_fifo = |one: &Denial| matches!(one, Denial::Fifo { .. } | Denial::FifoInGroup { .. });
+    assert_eq!(is_fifo, granted(denied_fifo), "{scheduler:#x} {priority}");
     assert_eq!(child, libc::SCHED_OTHER, "a child does not inherit it");
     // Linux 6.13 and later give a real-time thread no timer slack.
     assert_eq!(slack <= 1, granted(|one| matches!(one, Denial::TimerSlack { .. })));

@@ -246,6 +246,7 @@ fn run(
             acceleration: None,
             torque: torques[point(k)],
             law: None,
+            continues_law: false,
         };
         running.link.orders.push(Order::Move(step)).unwrap();
         running.run(1);

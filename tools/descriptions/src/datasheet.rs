@@ -9,6 +9,7 @@ mod svg;
 mod symbols;
 pub(crate) mod tables;
 
+use anyhow::bail;
 use clap::Args;
 
 use crate::kinematics::{Machine, Which};
@@ -30,6 +31,9 @@ pub fn datasheet(options: &Options) -> anyhow::Result<String> {
     let described = described(&machine.parameters);
     Ok(match (options.figure, described.drawing) {
         (false, _) => tables::sheet(&machine),
+        (true, Drawing::None) => {
+            bail!("{}: a figure needs the links of the robot, which it does not state", machine.name)
+        }
         (true, Drawing::Arm(views)) => figure::figure(&machine, described.symbols, &views(&machine)),
         (true, Drawing::Gripper(gripper)) => devices::gripper(gripper),
         (true, Drawing::Conveyor(conveyor)) => devices::conveyor(conveyor),

@@ -3,6 +3,7 @@
 mod arms;
 mod chain;
 mod devices;
+mod own;
 mod polycrank;
 mod rnt;
 
@@ -41,8 +42,13 @@ pub(crate) struct Description<'a> {
 /// Draws the views of an arm.
 type Views<'a> = dyn Fn(&Machine) -> [View; 2] + 'a;
 
+/// Names of the joints of a robot that is no model, in the formulas.
+const SYMBOLS: [&str; 8] = ["q1", "q2", "q3", "q4", "q5", "q6", "q7", "q8"];
+
 /// Content of the figure of a machine.
 pub(crate) enum Drawing<'a> {
+    /// A robot that is no serial arm, of which nothing is known but its axes.
+    None,
     Arm(Box<Views<'a>>),
     Gripper(&'a GripperParameters),
     Conveyor(&'a ConveyorParameters),

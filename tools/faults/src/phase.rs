@@ -242,6 +242,7 @@ impl FixedMotion {
             acceleration: None,
             torque: [0.0; MAX_AXES],
             law: None,
+            continues_law: false,
         }
     }
 }

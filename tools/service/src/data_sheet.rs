@@ -32,7 +32,7 @@ pub(super) struct DataSheet {
     /// Name of the object. The name of a sub-index is preceded by the name of its object.
     pub(super) name: String,
     variable: Variable,
-    /// Why the limits of the object are not known.
+    /// Reason why the limits of the object are not known.
     limits: Option<EdsError>,
 }
 
@@ -81,8 +81,8 @@ fn named(eds: &Eds) -> impl Iterator<Item = (Object, &Variable, String)> {
     eds.variables().map(|(object, variable)| (object, variable, name_of(&eds.objects[&object.index], variable)))
 }
 
-/// The object of a name. The name of a sub-index may be preceded by the name of its object, which decides between
-/// sub-indices of one name. Letters are compared without case.
+/// The object of a name. The name of a sub-index may be preceded by the name of its object, which distinguishes
+/// sub-indices of the same name. Upper and lower case are equal.
 fn object_of(eds: &Eds, name: &str, path: &str) -> anyhow::Result<Object> {
     let wanted = name.trim().to_lowercase();
     let objects = |is_wanted: &dyn Fn(&Variable, &str) -> bool| -> Vec<_> {
@@ -106,7 +106,7 @@ fn object_of(eds: &Eds, name: &str, path: &str) -> anyhow::Result<Object> {
     }
 }
 
-/// Addresses with names, as far as a line can hold them.
+/// Addresses with names, at most [`MOST_LISTED`] of them.
 fn listed(objects: &[(Object, String)]) -> String {
     let shown: Vec<_> = objects.iter().take(MOST_LISTED).map(|(object, name)| format!("{object} {name}")).collect();
     let more = objects.len() - shown.len();
@@ -313,5 +313,95 @@ mod tests {
         let refused = "drive.eds:29: the section lacks DataType; add it, so the file does not describe 0x2000:01";
         assert_eq!(text(sheet(0x2000, 1)), refused);
         assert_eq!(text(sheet(0x1000, 0).unwrap().check_read()), "");
+    }
+
+    /// A data sheet without a flaw, of the corpus of data sheets with one flaw each.
+    const SOUND: &str = include_str!("../../../drivers/canopen/tests/sheets/sound.eds");
+
+    /// The lines of a section up to the next heading, wherever the section stands.
+    fn section<'a>(lines: &[&'a str], heading: &str) -> Vec<&'a str> {
+        let mut inside = false;
+        let lines = lines.iter().filter(|line| {
+            if line.starts_with('[') {
+                inside = **line == heading;
+            }
+            inside && !line.is_empty()
+        });
+        lines.copied().collect()
+    }
+
+    /// Asserts that `sdo` can use an object that a mutation did not touch.
+    fn untouched_object_works(lines: &[&str]) {
+        let text_of_file = lines.join("\n");
+        let eds = Eds::read(text_of_file.as_bytes()).unwrap_or_else(|error| panic!("{error}\n{text_of_file}"));
+        let of = |selector| DataSheet::of(&eds, &selector, "drive.eds".to_owned());
+        let sheet = of(Selector::Address(Object::new(0x3100, 0)));
+        let sheet = sheet.unwrap_or_else(|error| panic!("{error}\n{text_of_file}"));
+        assert_eq!((sheet.name.as_str(), sheet.value_type()), ("Gain", Some(Type::U8)), "{text_of_file}");
+        assert_eq!(of(Selector::Name("gain".to_owned())).map(|found| found.object).ok(), Some(sheet.object));
+        let node = NodeId::new(1).unwrap();
+        assert_eq!(text(sheet.check_read()), "", "{text_of_file}");
+        assert_eq!(text(sheet.check_write(node, &[200])), "", "{text_of_file}");
+        let most = "0x3100:00 Gain takes no more than 200 by drive.eds";
+        assert_eq!(text(sheet.check_write(node, &[201])), most, "{text_of_file}");
+    }
+
+    #[test]
+    fn whatever_one_line_of_a_data_sheet_becomes_an_object_elsewhere_is_read_and_written() {
+        const OTHERS: &[&str] = &[
+            "",
+            "x",
+            "# x",
+            "[",
+            "]",
+            "[1000",
+            "[1017]",
+            "[3101sub1]",
+            "[31011]",
+            "[DeviceInfo]",
+            "=",
+            "DataType=x",
+            "DataType=0x0007",
+            "ObjectType=99",
+            "AccessType=",
+            "SubNumber=200",
+            "SubNumber=0",
+            "CompactSubObj=255",
+            "LowLimit=0x100000000",
+            "HighLimit=1LL",
+            "DefaultValue=$MY_NODE_ID+1",
+            "DefaultValue=0.0f",
+            "ParameterValue=1",
+            "NrOfEntries=1",
+            "1=0x9999",
+            "NodeID=0",
+            "NodeID=0xFF",
+        ];
+        let lines: Vec<_> = SOUND.lines().collect();
+        let gain = section(&lines, "[3100]");
+        assert!(gain.len() > 5);
+        untouched_object_works(&lines);
+        let mut tried = 0;
+        let mut try_this = |changed: &[&str]| {
+            if section(changed, "[3100]") == gain {
+                untouched_object_works(changed);
+                tried += 1;
+            }
+        };
+        for at in 0..lines.len() {
+            let (before, [line, after @ ..]) = lines.split_at(at) else { unreachable!("there are lines") };
+            try_this(&[before, after].concat());
+            try_this(&[before, &[line, line], after].concat());
+            for other in OTHERS {
+                try_this(&[before, &[*other], after].concat());
+                try_this(&[before, &[*other, line], after].concat());
+            }
+            for cut in 1..line.len() {
+                let (head, tail) = line.split_at(cut);
+                try_this(&[before, &[head, tail], after].concat());
+                try_this(&[before, &[head], after].concat());
+            }
+        }
+        assert!(tried > 4000, "{tried} mutations");
     }
 }

@@ -1,4 +1,4 @@
-//! `mrroc dcf`: device configuration files (DCF) of drives. Leaves out what no drive may be given, saves the values of a
+//! `mrroc dcf`: device configuration files (DCF) of drives. Removes refused values from a file, saves the values of a
 //! drive, and compares a drive with a file.
 
 mod compare;
@@ -25,9 +25,9 @@ use super::{BusArgs, Channel, node_id};
 /// Actions of `mrroc dcf`.
 #[derive(Subcommand)]
 pub enum Action {
-    /// Write a device configuration file without the values that no drive may be given: of objects that belong to the
-    /// driver, and those that are refused for another reason. Each of their lines becomes a comment with the reason. All
-    /// other lines stay as they are, also values equal to their default.
+    /// Write a device configuration file without its refused values: values of objects that belong to the driver, and
+    /// values that are refused for another reason. Each refused line becomes a comment with the reason. All other lines
+    /// stay as they are, also values equal to their default.
     Strip {
         /// The file.
         #[arg(value_name = "IN")]
@@ -51,8 +51,8 @@ pub enum Action {
         /// The file to write.
         #[arg(value_name = "OUT")]
         output: PathBuf,
-        /// The data sheet (EDS or DCF) of the drive. Without a data sheet, the objects that this program knows by name are
-        /// read, and all values are notes, since nothing says which objects can be written.
+        /// The data sheet (EDS or DCF) of the drive. Without a data sheet, the objects that this program knows by name
+        /// are read, and all values are notes, because the writable objects are not known.
         #[arg(long, value_name = "FILE")]
         eds: Option<PathBuf>,
         /// What happens to an existing file.

@@ -8,7 +8,7 @@ use std::time::Duration;
 use can::{Frame, Instant, Port as _};
 use canopen::NodeId;
 use canopen::heartbeat::Heartbeat;
-use canopen::lss::{Identity, Mode, Part, Request};
+use canopen::lss::{Identity, Mode, Part, Request, Response};
 use canopen::nmt::NmtState;
 use clap::{Args, Subcommand};
 use master::lss::{Answer, LssError, Master, Service};
@@ -28,6 +28,9 @@ const BOOTING: Duration = Duration::from_secs(2);
 /// Switches all slaves to waiting mode. The command has no answer, and the time limits its sending.
 const TO_WAITING: (Service, Duration) = (Service::SwitchGlobal(Mode::Waiting), Duration::from_millis(200));
 
+/// Time after the last request of a scan during which a late answer is noticed.
+const LATE: Duration = Duration::from_millis(500);
+
 /// Maximum number of nodes on a bus.
 const MOST_FOUND: usize = 127;
 
@@ -40,8 +43,9 @@ pub enum Action {
         #[command(flatten)]
         bus: BusArgs,
         /// Time to wait for an answer to each of the 134 requests per node, ms. The value must exceed the answer time
-        /// of the slowest node plus the latency of the interface. A node that keeps answering after it was found, such
-        /// as a CANopenNode slave, doubles the number of requests. [default: 20, or 50 on slcan]
+        /// of the slowest node plus the latency of the interface. An answer within 0.5 s after the scan causes a
+        /// warning and exit status 1. A node that keeps answering after it was found, such as a CANopenNode slave,
+        /// doubles the number of requests. [default: 20, or 50 on slcan]
         #[arg(long, value_name = "MS")]
         timeout: Option<u64>,
         /// Print one JSON object.
@@ -180,6 +184,7 @@ fn scan(bus: &BusArgs, timeout: Option<Duration>, json: bool) -> anyhow::Result<
     let timeout = timeout.unwrap_or_else(|| question(&bus.interface));
     let mut dialogue = Dialogue::scan(timeout);
     bus.hold(&mut dialogue)?;
+    let late = dialogue.late();
     let (found, failed) = dialogue.found();
     let unconfigured: Vec<_> = found.iter().map(|found| Found::of(found, None)).collect();
     match (json, failed) {
@@ -188,7 +193,7 @@ fn scan(bus: &BusArgs, timeout: Option<Duration>, json: bool) -> anyhow::Result<
         (true, None) => {
             say(serde_json::to_string(&Unconfigured { unconfigured: &unconfigured })?)?;
         }
-        (false, None) if found.is_empty() => {
+        (false, None) if found.is_empty() && late.is_none() => {
             say(format_args!(
                 "no node without a node-ID answered within {} ms: the nodes have node-IDs, do not know LSS, or answer \
                  later (--timeout)",
@@ -201,14 +206,30 @@ fn scan(bus: &BusArgs, timeout: Option<Duration>, json: bool) -> anyhow::Result<
         streams::warn(format_args!("mrroc: {}", bus.silence()));
         return Ok(ExitCode::from(1));
     }
+    if let Some(late) = late {
+        streams::warn(format_args!("mrroc: {}", lateness(late, timeout)));
+    }
+    let complete = if late.is_none() { ExitCode::SUCCESS } else { ExitCode::from(1) };
     if json {
-        return Ok(ExitCode::SUCCESS);
+        return Ok(complete);
     }
     for found in unconfigured {
         let vendor = found.vendor_name.map(|name| format!(" ({name})"));
         say(format_args!("{found}{}", vendor.unwrap_or_default()))?;
     }
-    failed.map_or(Ok(ExitCode::SUCCESS), |error| Err(error.into()))
+    failed.map_or(Ok(complete), |error| Err(error.into()))
+}
+
+/// Warning of an answer `late` after its request to a scan that waits for `timeout`.
+fn lateness(late: Duration, timeout: Duration) -> String {
+    // One and a half times the delay, rounded up to a multiple of 10 ms.
+    let longer = (late.as_millis() * 3 / 2).div_ceil(10) * 10;
+    format!(
+        "a node without a node-ID answered {} ms after a request, and the scan waits {} ms: the list is incomplete, scan again \
+         with --timeout {longer}",
+        late.as_millis(),
+        timeout.as_millis()
+    )
 }
 
 fn inquire(slave: &Slave, json: bool) -> anyhow::Result<ExitCode> {
@@ -264,6 +285,10 @@ pub(super) struct Dialogue {
     /// Node whose boot-up message ends the dialogue.
     expected: Option<NodeId>,
     pub(super) booted: bool,
+    /// Time at which the last request of a scan was sent.
+    asked: Instant,
+    /// Delay of an answer after the end of a scan.
+    late: Option<Duration>,
     /// Whether a service is under way.
     busy: bool,
     ending: Ending,
@@ -285,6 +310,10 @@ enum Ending {
     NotYet,
     /// All slaves are being switched to waiting mode.
     Waiting,
+    /// A scan is over, and an answer may still come.
+    Listening {
+        until: Instant,
+    },
     /// The expected node boots.
     Booting {
         until: Instant,
@@ -332,6 +361,11 @@ impl Dialogue {
         (self.found, self.failed)
     }
 
+    /// Delay of an answer that came after the end of a scan, which did not find its node.
+    pub(super) fn late(&self) -> Option<Duration> {
+        self.late
+    }
+
     /// Processes the result of the present service and starts the next.
     fn go_on(&mut self, now: Instant) {
         if self.busy {
@@ -354,8 +388,11 @@ impl Dialogue {
             Ending::Waiting if self.expected.is_some() && self.failed.is_none() && !self.booted => {
                 self.ending = Ending::Booting { until: now + BOOTING };
             }
+            Ending::Waiting if self.scanning.is_some() && self.failed.is_none() && self.late.is_none() => {
+                self.ending = Ending::Listening { until: self.asked + LATE };
+            }
             Ending::Waiting => self.ending = Ending::Over,
-            Ending::Booting { .. } | Ending::Over => {}
+            Ending::Listening { .. } | Ending::Booting { .. } | Ending::Over => {}
         }
     }
 
@@ -393,6 +430,13 @@ impl Dialogue {
 impl Conversation for Dialogue {
     fn handle(&mut self, frame: &Frame, now: Instant) {
         self.master.handle(frame, now);
+        let ended = matches!(self.ending, Ending::Waiting | Ending::Listening { .. });
+        if ended && self.scanning.is_some() && Response::decode(frame) == Some(Response::Identified) {
+            self.late.get_or_insert(now.since(self.asked));
+            if let Ending::Listening { .. } = self.ending {
+                self.ending = Ending::Over;
+            }
+        }
         let boot = Heartbeat::decode(frame).filter(|said| said.state == NmtState::Initialising);
         if boot.is_some_and(|said| Some(said.node) == self.expected) {
             self.booted = true;
@@ -405,6 +449,9 @@ impl Conversation for Dialogue {
 
     fn poll_transmit(&mut self, now: Instant) -> Option<Frame> {
         let frame = self.master.poll_transmit(now);
+        if frame.as_ref().and_then(Request::decode).is_some_and(|request| matches!(request, Request::Fastscan(_))) {
+            self.asked = now;
+        }
         // Some services have no answer and are complete once sent.
         self.go_on(now);
         frame
@@ -414,14 +461,14 @@ impl Conversation for Dialogue {
         match self.ending {
             // A dialogue that has not started is due at once.
             Ending::NotYet | Ending::Waiting => Some(self.master.poll_timeout().unwrap_or(Instant::ZERO)),
-            Ending::Booting { until } => Some(until),
+            Ending::Listening { until } | Ending::Booting { until } => Some(until),
             Ending::Over => None,
         }
     }
 
     fn handle_timeout(&mut self, now: Instant) {
         self.master.handle_timeout(now);
-        if let Ending::Booting { until } = self.ending
+        if let Ending::Listening { until } | Ending::Booting { until } = self.ending
             && now >= until
         {
             self.ending = Ending::Over;
@@ -438,6 +485,14 @@ impl Conversation for Dialogue {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_late_answer_is_told_with_a_wait_that_is_long_enough() {
+        let [late, timeout] = [Duration::from_micros(52_300), Duration::from_millis(20)];
+        let text = lateness(late, timeout);
+        assert!(text.contains("answered 52 ms after a request, and the scan waits 20 ms"), "{text}");
+        assert!(text.ends_with("with --timeout 80"), "{text}");
+    }
 
     #[test]
     fn a_question_outlasts_the_latency_of_its_interface() {

@@ -68,8 +68,8 @@ impl Options {
     }
 }
 
-/// Shows frames until Ctrl-C, also after the interface was down, until `--count` frames were shown, or until the reader of the output closes it. The exit
-/// status is 0 in all three cases. A log is shown to its end.
+/// Shows frames until Ctrl-C, until `--count` frames were shown, or until the reader of the output closes it. The exit
+/// status is 0 in all three cases. An interface that was down does not end the command. A log is shown to its end.
 pub fn monitor(options: &Options) -> anyhow::Result<ExitCode> {
     if let Some(path) = &options.from {
         return from_file::show(path, options);

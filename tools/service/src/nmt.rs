@@ -129,7 +129,7 @@ pub(super) struct NodeReport {
     pub(super) heard: Vec<(NodeId, NmtState)>,
     /// The addressed node, if it reported no NMT state, with its heartbeat period as read by SDO, ms.
     pub(super) silent: Option<(NodeId, Option<Result<u16, SdoError>>)>,
-    /// The other nodes that booted after the reset of a node that did not. A node takes a new node-ID at its reset
+    /// The other nodes that booted after the reset of a node that did not boot. A node takes a new node-ID at its reset
     /// (CiA 305), and boots under it.
     pub(super) booted: Vec<NodeId>,
 }

@@ -70,8 +70,8 @@ pub struct Target {
     #[arg(value_parser = node_id)]
     node: NodeId,
     /// The object, such as 0x6041:0 or 6041:0. Index and sub-index are hexadecimal, with or without 0x. An index
-    /// without 0x has four digits. The default sub-index is 0. With --eds also the name of the object in the data sheet,
-    /// such as "Statusword" or "Software position limit: Min position limit".
+    /// without 0x has four digits. The default sub-index is 0. With --eds, the name of the object in the data sheet is
+    /// accepted as well, such as "Statusword" or "Software position limit: Min position limit".
     #[arg(value_name = "INDEX:SUB", value_parser = selector)]
     object: Selector,
     /// The data sheet (EDS or DCF) of the device. The data sheet supplies names and types. An access that the data
@@ -164,7 +164,7 @@ impl Peer {
 pub(super) const NOTATION: &str =
     "an object is INDEX:SUB in hexadecimal, such as 0x6041:0, or 6041:0 with all four digits of the index";
 
-/// Parses an object on the command line: an address, else a name.
+/// Parses an object on the command line: an address, or otherwise a name.
 fn selector(text: &str) -> Result<Selector, Infallible> {
     Ok(object(text).map_or_else(|_| Selector::Name(text.to_owned()), Selector::Address))
 }

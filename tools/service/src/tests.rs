@@ -263,7 +263,7 @@ fn a_node_that_boots_under_its_new_node_id_obeyed_the_reset() {
     let told = stage.tell(Command::ResetCommunication.to(node(3)));
     assert_eq!((told.silent, told.booted.as_slice()), (Some((node(3), None)), &[node(5)][..]));
     assert!(told.confirmed());
-    // A node that keeps its node-ID, and one that is not there.
+    // A node that keeps its node-ID, and a node that is absent.
     assert_eq!(stage.tell(Command::ResetCommunication.to(node(5))).booted, []);
     assert!(!stage.tell(Command::ResetCommunication.to(node(3))).confirmed());
 }

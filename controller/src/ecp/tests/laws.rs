@@ -75,3 +75,42 @@ fn a_touch_ends_the_motion_with_success_and_the_list_goes_on() {
     assert!(bench.servo.moves().any(|macrostep| macrostep.law.is_none()));
     assert!(bench.servo.report.snapshot.commanded[0].abs() < 1e-9);
 }
+
+/// Yields like a spring along z of the tool.
+fn spring() -> ForceTask {
+    let mut task = ForceTask::default();
+    task.directions[2] = Direction::Admittance { stiffness: 1000.0, compliance: Compliance::LINEAR };
+    task
+}
+
+#[test]
+fn a_motion_under_the_same_law_plans_from_the_end_of_the_path_that_the_law_has_displaced() {
+    let displaced = |law: ForceTask| {
+        let mut bench = Bench::ready();
+        assert_eq!(bench.run(Task::new().run(to(0.1, 0.0, 0.0).under(law))), finished(1));
+        // The law has kept a displacement.
+        let snapshot = &mut bench.servo.report.snapshot;
+        let end = snapshot.commanded[0];
+        snapshot.commanded[0] += 0.3;
+        snapshot.displacement[0] = 0.3;
+        bench.servo.publish();
+        (bench, end)
+    };
+    // Under the same law, the path goes on, and once only.
+    let (mut bench, end) = displaced(spring());
+    let before = bench.servo.moves().count();
+    assert_eq!(bench.run(Task::new().run(wait().under(spring()))), finished(1));
+    let moves: Vec<_> = bench.servo.moves().skip(before).copied().collect();
+    assert!(moves.iter().all(|macrostep| (macrostep.position[0] - end).abs() < 1e-12), "{moves:?}");
+    assert_eq!(moves.iter().position(|macrostep| macrostep.continues_law), Some(0));
+    assert_eq!(moves.iter().filter(|macrostep| macrostep.continues_law).count(), 1);
+    // Under another law, and without one, the path begins where the effector stands.
+    for other in [Task::new().run(wait().under(press())), Task::new().run(wait())] {
+        let (mut bench, end) = displaced(spring());
+        let before = bench.servo.moves().count();
+        assert_eq!(bench.run(other), finished(1));
+        let moves: Vec<_> = bench.servo.moves().skip(before).copied().collect();
+        assert!(moves.iter().all(|macrostep| (macrostep.position[0] - end - 0.3).abs() < 1e-12), "{moves:?}");
+        assert!(moves.iter().all(|macrostep| !macrostep.continues_law));
+    }
+}

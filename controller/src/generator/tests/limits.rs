@@ -158,29 +158,51 @@ fn no_line_of_any_robot_takes_longer_or_is_refused_when_a_limit_rises() {
     }
 }
 
+/// Seeds of cases of every robot.
+fn cases() -> impl Iterator<Item = (&'static str, Arm, u64)> {
+    arms().into_iter().flat_map(|(name, arm)| (0..20 * times()).map(move |seed| (name, arm.clone(), seed)))
+}
+
 #[test]
 fn no_motion_of_joints_takes_longer_or_is_refused_when_a_limit_rises() {
-    for (name, arm) in arms() {
+    for (name, arm, seed) in cases() {
         let axes = arm.axes();
-        for seed in 0..8 * times() {
-            let mut random = Random(seed);
-            let Some((_, image)) = standing(&arm, &mut random) else { continue };
-            let poses: Vec<Axes> = (0..1 + random.below(4)).map(|_| random.axes(-1.5, 1.5)).collect();
-            let name = |generator| format!("{generator} of {name}");
-            check(&name("newsmooth"), seed, |limits| {
-                let poses = poses.iter().copied().map(SmoothPose::fast).collect();
-                periods(Newsmooth::new(Space::Joint, axes, limits.joints, poses)?, &image)
-            });
-            check(&name("polynomial"), seed, |limits| {
-                periods(Polynomial::quintic(Space::Joint, axes, limits.joints, poses[0])?, &image)
-            });
-            check(&name("jerk-limited"), seed, |limits| {
-                periods(JerkLimited::new(Space::Joint, axes, limits.joints, &poses[..1])?, &image)
-            });
-            check(&name("time-optimal"), seed, |limits| {
-                periods(TimeOptimal::through(Space::Joint, axes, limits.joints, poses.clone())?, &image)
-            });
-        }
+        let mut random = Random(seed);
+        let Some((_, image)) = standing(&arm, &mut random) else { continue };
+        let poses: Vec<Axes> = (0..1 + random.below(4)).map(|_| random.axes(-1.5, 1.5)).collect();
+        let name = |generator| format!("{generator} of {name}");
+        check(&name("newsmooth"), seed, |limits| {
+            let poses = poses.iter().copied().map(SmoothPose::fast).collect();
+            periods(Newsmooth::new(Space::Joint, axes, limits.joints, poses)?, &image)
+        });
+        check(&name("cubic"), seed, |limits| {
+            periods(Polynomial::cubic(Space::Joint, axes, limits.joints, poses[0])?, &image)
+        });
+        check(&name("quintic"), seed, |limits| {
+            periods(Polynomial::quintic(Space::Motor, axes, limits.joints, poses[0])?, &image)
+        });
+        check(&name("jerk-limited"), seed, |limits| {
+            periods(JerkLimited::new(Space::Joint, axes, limits.joints, &poses[..1])?, &image)
+        });
+        check(&name("time-optimal"), seed, |limits| {
+            periods(TimeOptimal::through(Space::Joint, axes, limits.joints, poses.clone())?, &image)
+        });
+        let velocity = poses[0].map(|value| 0.05 * value);
+        check(&name("constant velocity"), seed, |limits| {
+            periods(ConstantVelocity::new(arm.clone(), limits.joints, velocity)?.over(0.01)?, &image)
+        });
+    }
+}
+
+#[test]
+fn no_motion_through_poses_takes_longer_or_is_refused_when_a_limit_rises() {
+    for (name, arm, seed) in cases() {
+        let mut random = Random(seed);
+        let Some((_, image)) = standing(&arm, &mut random) else { continue };
+        let poses: Vec<Axes> = (0..2 + random.below(4)).map(|_| random.axes(-1.5, 1.5)).collect();
+        check(&format!("jerk-limited of {name}"), seed, |limits| {
+            periods(JerkLimited::new(Space::Joint, arm.axes(), limits.joints, &poses)?, &image)
+        });
     }
 }
 

@@ -134,13 +134,40 @@ fn joints_never_exceed_their_limits_on_a_line_and_motors_leave_it_by_nanometres(
                 check_limits(&states, &weak, seed);
                 worst = worst.max(chord_error(&arm, &states, &start.1, &target));
             }
-            Err(GeneratorError::Path { .. } | GeneratorError::Singular { .. } | GeneratorError::Jump { .. }) => {}
+            Err(
+                GeneratorError::Path { .. }
+                | GeneratorError::Singular { .. }
+                | GeneratorError::Jump { .. }
+                | GeneratorError::Turn { .. },
+            ) => {}
             Err(error) => panic!("seed {seed}: {error}"),
         }
     }
     println!("{walked} of 400 walked, worst chord error {worst:.3e} m");
     assert!(walked > 200, "{walked}");
     assert!(worst < 100e-9, "{worst}");
+}
+
+#[test]
+fn a_turn_beyond_the_range_of_a_motor_is_refused_as_such() {
+    let robot = Irp6::new(&Irp6Parameters::irp6p()).unwrap();
+    let arm = Arm::new(Arc::new(robot), Pose::identity());
+    let rolled = |roll: f64| {
+        let mut joints = BENT;
+        joints[4] = roll;
+        standing(&arm, joints)
+    };
+    // At this pitch, the motor of the roll ends at a roll of 6.37 rad. The turn back is another turn of the roll.
+    let target = rolled(6.6 - std::f64::consts::TAU).1;
+    let line = StraightLine::new(arm.clone(), target, LIMITS, joint_limits()).unwrap();
+    let error = walk(line, &rolled(6.3)).unwrap_err();
+    let GeneratorError::Turn { axis: 4, by, .. } = error else { panic!("{error:?}") };
+    assert!((6.0..6.3).contains(&by), "{by}");
+    let text = error.to_string();
+    assert!(text.contains("axis 4 would turn back by 6.2") && text.contains("begin the path"), "{text}");
+    // From the other turn, the line is walked.
+    let line = StraightLine::new(arm.clone(), target, LIMITS, joint_limits()).unwrap();
+    walk(line, &rolled(6.3 - std::f64::consts::TAU)).unwrap();
 }
 
 #[test]

@@ -231,6 +231,22 @@ fn newsmooth_by_displacements_is_the_motion_through_their_sums() {
 }
 
 #[test]
+fn a_motion_that_is_too_long_for_its_profile_is_refused_with_the_longest_time() {
+    let all = |value: f64| [value; MAX_AXES];
+    let limits = MotionLimits { max_velocity: all(0.3), max_acceleration: all(1.0), max_jerk: all(10.0) };
+    let conveyor = |metres: f64| {
+        let mut pose = Axes::default();
+        pose[0] = metres;
+        let motion = JerkLimited::new(Space::Joint, 1, limits, &[pose]);
+        motion.and_then(|motion| walk(motion, &Standing::at(Axes::default())).map(|_| ()))
+    };
+    assert_eq!(conveyor(100.0), Ok(()));
+    let refusal = conveyor(3000.0).unwrap_err();
+    assert_eq!(refusal, GeneratorError::NoProfile);
+    assert!(refusal.to_string().ends_with("the motion takes more than 7600 s"), "{refusal}");
+}
+
+#[test]
 fn jerk_limited_keeps_its_limits_and_ends_exactly() {
     let mut worst_push: f64 = 0.0;
     for seed in 0..20_000 {

@@ -69,6 +69,7 @@ fn a_law_without_limits_is_refused() {
             load: None,
             lag: Duration::ZERO,
             zeroed: None,
+            payload: None,
             limits,
         };
         let error: PositionForceError = PositionForce::new(config, RehearsedWrench::new().1).unwrap_err();
@@ -149,6 +150,7 @@ fn the_weight_of_the_tool_is_no_contact() {
                 load: Some(load),
                 lag: Duration::ZERO,
                 zeroed,
+                payload: None,
                 limits: WIDE,
             };
             PositionForce::new(config, link).unwrap()
@@ -174,6 +176,7 @@ fn a_sensor_that_was_not_zeroed_and_a_weight_that_was_not_noted_are_faults() {
             load: None,
             lag: Duration::ZERO,
             zeroed: Some(ZeroedWeight::of(noted, &Wrench::default())),
+            payload: None,
             limits: WIDE,
         };
         for _ in 0..requests {

@@ -217,6 +217,55 @@ fn an_admittance_yields_like_its_spring_and_returns() {
 }
 
 #[test]
+fn an_admittance_that_begins_displaced_keeps_its_force_and_returns_to_the_path() {
+    let (stiffness, turn) = (2000.0, 50.0);
+    for axes in [TaskAxes::Tool, TaskAxes::Base] {
+        let mut task = ForceTask { axes, ..ForceTask::default() };
+        task.directions[2] = Direction::Admittance { stiffness, compliance: Compliance::LINEAR };
+        task.directions[5] = Direction::Admittance { stiffness: turn, compliance: Compliance::ROTARY };
+        let mut rig = Rig::new(irp6(), &START, 0.004, 1, WIDE);
+        let start = rig.tool();
+        let surface = start.translation.z + 0.002;
+        let environment = spring(surface, 2000.0, true);
+        (0..2000).for_each(|_| assert_eq!(rig.cycle(&task, &environment), None));
+        let settled = rig.forces[rig.forces.len() - 1].z;
+        // The tool is not quite upright.
+        assert!((settled - 2.0).abs() < 0.2, "{axes:?}: {settled} N");
+        // The next motion begins the law again, with the kept displacement.
+        for _ in 0..2 {
+            rig.began = false;
+            for _ in 0..500 {
+                assert_eq!(rig.cycle(&task, &environment), None);
+                let force = rig.forces[rig.forces.len() - 1].z;
+                assert!((force - settled).abs() < 0.01, "{axes:?}: {force} N of {settled} N");
+            }
+        }
+        rig.began = false;
+        (0..3000).for_each(|_| assert_eq!(rig.cycle(&task, &|_| Vector3::zeros()), None));
+        let rest = start.inverse() * rig.tool();
+        assert!(rest.translation.vector.norm() < 2e-5 && rest.rotation.angle() < 1e-4, "{axes:?}: {rest}");
+    }
+}
+
+#[test]
+fn only_a_task_with_a_spring_keeps_its_displacement() {
+    let rig = Rig::new(irp6(), &START, 0.0, 0, WIDE);
+    let compliance = Compliance::LINEAR;
+    let directions = [
+        (Direction::HELD, false),
+        (Direction::Unguarded { velocity: 0.1 }, false),
+        (Direction::Guarded { velocity: 0.1, compliance }, false),
+        (Direction::Contact { force: 5.0, compliance }, false),
+        (Direction::Admittance { stiffness: 1.0, compliance }, true),
+    ];
+    for (direction, keeps) in directions {
+        let mut task = ForceTask::default();
+        task.directions[1] = direction;
+        assert_eq!(rig.law.keeps(&task.into()), keeps, "{direction:?}");
+    }
+}
+
+#[test]
 fn an_arm_of_five_axes_moves_its_tool_as_the_law_requires() {
     let arm = Arm::new(Arc::new(Irb6::new(&Irb6Parameters::irb6()).unwrap()), irp6().flange_from_tool().to_owned());
     let start = [0.3, -FRAC_PI_2, 0.1, FRAC_PI_2, 0.4, 0.0, 0.0, 0.0];

@@ -45,8 +45,8 @@ struct Settled {
 }
 
 impl Chain {
-    /// The branches of a pose within all limits, nearest first. `None` if the closed form does not tell: the pose is out
-    /// of reach, or leaves an angle open.
+    /// The branches of a pose within all limits, nearest first. `None` if the closed form has no answer, because the
+    /// pose is out of reach or leaves an angle open.
     pub(super) fn branches(
         &self,
         form: &Form,

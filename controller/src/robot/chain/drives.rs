@@ -3,7 +3,7 @@
 use nalgebra::DMatrix;
 use servo::MAX_AXES;
 
-use super::super::{KinematicsError, Limits, LinkKind, Space, drive_train};
+use super::super::{KinematicsError, Limits, LinkKind, Space};
 use super::parameters::ChainParameters;
 
 /// Range of the motor of an endless joint on either side of home, rad: that of a 32-bit counter with 4000 counts per
@@ -22,7 +22,7 @@ pub(super) struct Drives {
     pub(super) motors_at_home: [f64; MAX_AXES],
     pub(super) joint_limits: [Limits; MAX_AXES],
     pub(super) motor_limits: [Limits; MAX_AXES],
-    /// Motors that an endless joint moves. Only these motors have limits that the limits of the joints do not keep.
+    /// Motors that an endless joint moves. Only the limits of these motors do not follow from the limits of the joints.
     endless: [bool; MAX_AXES],
 }
 
@@ -72,9 +72,7 @@ impl Drives {
     /// Refuses a posture with a joint beyond its limit.
     pub(super) fn check_joints(&self, joints: &[f64; MAX_AXES]) -> Result<(), KinematicsError> {
         let limits = self.joint_limits[..self.axes].iter().zip(joints).enumerate();
-        limits
-            .into_iter()
-            .try_for_each(|(axis, (limits, &joint))| drive_train::check(limits, joint, axis, Space::Joint))
+        limits.into_iter().try_for_each(|(axis, (limits, &joint))| limits.check(Space::Joint, axis, joint))
     }
 
     /// Motor positions for joint positions. Both are checked against their limits.
@@ -83,7 +81,7 @@ impl Drives {
         let motors = self.mapped(&self.motors_from_joints, joints, &self.joints_at_home, &self.motors_at_home)?;
         for (axis, &motor) in motors[..self.axes].iter().enumerate() {
             if self.endless[axis] {
-                drive_train::check(&self.motor_limits[axis], motor, axis, Space::Motor)?;
+                self.motor_limits[axis].check(Space::Motor, axis, motor)?;
             }
         }
         Ok(motors)

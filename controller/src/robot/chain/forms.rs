@@ -70,8 +70,8 @@ impl Form {
         }
     }
 
-    /// Offers the branches of a pose, at most eight. Returns whether the pose leaves an angle open; that angle is the
-    /// one of `near`. A branch may miss a pose that is out of reach.
+    /// Offers at most eight branches of a pose. Returns whether the pose leaves an angle open. An open angle is taken
+    /// from `near`. A branch may miss a pose that is out of reach.
     pub(super) fn visit(&self, target: &Target, near: &[f64; MAX_AXES], offer: impl FnMut(&[f64; MAX_AXES])) -> bool {
         match self {
             Self::Wrist(form) => form.visit(target, near, offer),

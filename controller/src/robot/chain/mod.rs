@@ -2,8 +2,8 @@
 //!
 //! [`Chain`] has 1 to 8 joints: revolute, continuous or prismatic. Forward kinematics and the Jacobian follow from the
 //! frames of the joints. Inverse kinematics is a closed form with all branches where the geometry has one
-//! ([`ClosedForm`]), and otherwise a damped Newton's method with a bounded number of starts. Its results depend on
-//! nothing but the arguments.
+//! ([`ClosedForm`]), and otherwise a damped Newton's method with a bounded number of starts. The results depend only on
+//! the arguments.
 //!
 //! | file | content |
 //! |---|---|
@@ -48,7 +48,7 @@ pub use parameters::{ChainError, ChainJoint, ChainParameters, LinkBody};
 
 /// A serial arm of 1 to 8 axes.
 ///
-/// Joints: those of the description, in its order, signs and zeros. The **base** frame is the frame before the first
+/// Order, signs and zeros of the joints are as in the description. The **base** frame is the frame before the first
 /// joint.
 ///
 /// An arm with more axes than the pose needs keeps its posture as near to `near` as the pose admits. An arm with fewer
@@ -56,8 +56,9 @@ pub use parameters::{ChainError, ChainJoint, ChainParameters, LinkBody};
 /// and refuses other poses with [`KinematicsError::Missed`]. At a singular pose the axes that the pose leaves open stay
 /// near `near`.
 ///
-/// A chain with a [`ClosedForm`] has all branches of a pose. Any other chain has one solution: the one to which the
-/// method leads from `near`, or from the first successful start. The method ends after 72 starts of 60 steps at most.
+/// A chain with a [`ClosedForm`] has all branches of a pose. For any other chain, the numerical method returns one
+/// solution. The method starts at `near`, and continues with other starts until it succeeds. It ends after at most 72
+/// starts of at most 60 steps.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Chain {
     geometry: Geometry,
@@ -65,12 +66,12 @@ pub struct Chain {
     /// Direction in the flange frame about which the tool may turn.
     free_axis: Option<Vector3<f64>>,
     form: Option<Form>,
-    /// Joints that turn a whole turn without an end of their range in the way.
+    /// Whether the range of a joint allows at least a whole turn.
     turns: [bool; MAX_AXES],
-    /// A point that stays in its place, and the greatest distance of the flange from the point, m.
+    /// A fixed point of the base, and the greatest distance of the flange from this point, m.
     root: Vector3<f64>,
     reach: f64,
-    /// Length that the numerical solver holds equal to one radian, m.
+    /// Length that counts as much as one radian in the numerical solver, m.
     length: f64,
     /// Fractional steps from start to start of the numerical solver.
     recurrence: [f64; MAX_AXES],

@@ -1,4 +1,4 @@
-//! A chain as one of the robots with numbers of their own.
+//! The parameters of a chain, with the functions of all robot parameters.
 
 use std::sync::Arc;
 
@@ -18,12 +18,13 @@ impl RobotParameters for ChainParameters {
         self.roomy(motors)
     }
 
-    /// The masses that are known; none if that of any link is unknown.
+    /// The masses of the links; empty if the mass of any link is unknown.
     fn masses(&self) -> Vec<Mass> {
         self.known_masses().unwrap_or_default()
     }
 
-    /// Ratings that the joints ask of their motors; none if those of any joint are unknown, or if motors are coupled.
+    /// Ratings that the joints require of their motors. Empty if a rating of any joint is unknown, or if motors are
+    /// coupled.
     fn motors(&self) -> Vec<MotorRating> {
         let rating = |joint: &ChainJoint| {
             let ratio = joint.ratio.abs();

@@ -19,7 +19,7 @@ const NEARBY: f64 = 1e-6;
 /// Number of starts in which an exact solution is sought before a nearby solution is taken.
 const EXACT_STARTS: usize = 4;
 
-/// Part of half a range, from its middle, beyond which a redundant arm moves a joint back.
+/// Share of half a range, counted from the middle of the range, beyond which a redundant arm moves a joint back.
 const COMFORT: f64 = 0.75;
 
 /// Square of the scaled error that rounding leaves.
@@ -28,7 +28,7 @@ const LEAST: f64 = 1e-29;
 /// Square of the scaled error below which a step that does not reduce the error is the last.
 const DONE: f64 = 1e-25;
 
-/// Damping without an error. A singular matrix needs some damping.
+/// Damping at zero error. A singular matrix needs some damping.
 pub(super) const FLOOR: f64 = 1e-13;
 
 /// Least and greatest factor of the square of the error in the damping.
@@ -45,10 +45,10 @@ pub(super) struct Starts {
 }
 
 impl Starts {
-    /// Without another method.
+    /// For a chain without a closed form.
     pub(super) const ALL: Self = Self { bounded: 64, unbounded: 8 };
 
-    /// After a closed form without a solution.
+    /// After a closed form has found no solution.
     pub(super) const FEW: Self = Self { bounded: 8, unbounded: 4 };
 }
 
@@ -61,7 +61,7 @@ const PATIENCE: usize = 8;
 /// Largest step of a joint, rad (or in characteristic lengths).
 const STRIDE: f64 = 1.0;
 
-/// What one start led to.
+/// Result of one start.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Descent {
     pub(super) joints: [f64; MAX_AXES],
@@ -79,8 +79,8 @@ pub(super) struct Cost {
 }
 
 impl Chain {
-    /// Searches the posture for a pose: from `near` if the method leads to a solution from there, otherwise from the first of the
-    /// other starts that does.
+    /// Searches a posture for a pose. The search starts at `near`, and continues with the other starts until one of
+    /// them leads to a solution.
     pub(super) fn search(
         &self,
         target: &Target,
@@ -118,7 +118,7 @@ impl Chain {
         Ok(Joints::from_padded(&descent.joints, self.geometry.axes).into())
     }
 
-    /// Why the nearest posture found is no solution.
+    /// The refusal of a pose, with the error of the nearest posture found.
     fn miss(&self, error: &PoseError) -> KinematicsError {
         let (distance, angle) = (error.distance(), error.angle());
         if angle < NEARBY {
@@ -134,7 +134,7 @@ impl Chain {
         if margin > NEARBY { Err(KinematicsError::Unreachable { margin }) } else { Ok(()) }
     }
 
-    /// Whether this error is that of a solution.
+    /// Whether this error is small enough for a solution.
     pub(super) fn solves(&self, error: &PoseError) -> bool {
         let most = if self.geometry.axes < 6 { NEARBY } else { EXACT };
         error.distance() <= most && error.angle() <= most
@@ -332,8 +332,8 @@ impl Chain {
         -place.signum() * ((place.abs() - COMFORT) / (1.0 - COMFORT)).clamp(0.0, 1.0)
     }
 
-    /// Change of the flange per unit of one joint, with lengths in characteristic lengths, also that of a linear joint.
-    /// A rotation about the free axis of the tool does not count.
+    /// Change of the flange per unit of one joint. Lengths are in characteristic lengths, also the unit of a linear
+    /// joint. A rotation about the free axis of the tool does not count.
     fn column(&self, frames: &Frames, axis: usize, tool: Option<&Vector3<f64>>) -> Vector6<f64> {
         let along = frames.axes[axis];
         let (linear, mut angular) = if self.geometry.is_prismatic(axis) {

@@ -12,11 +12,11 @@ use super::wrist::{angle_or, planar_distance};
 /// Three revolute joints whose axes are parallel.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Plane {
-    /// Their numbers.
+    /// Numbers of the joints.
     axes: [usize; 3],
-    /// Their common direction.
+    /// Common direction of the axes.
     along: Vector3<f64>,
-    /// Whether an axis has the common direction (1) or the opposite (-1).
+    /// Whether an axis has the common direction (1) or the opposite direction (-1).
     signs: [f64; 3],
     points: [Vector3<f64>; 3],
 }
@@ -62,7 +62,7 @@ impl Plane {
     }
 }
 
-/// Axis 0 carries three parallel axes, and these carry one axis, or two that meet.
+/// An arm whose axis 0 carries three parallel axes. These carry one axis, or two axes that meet.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct ParallelArm {
     screws: Screws,

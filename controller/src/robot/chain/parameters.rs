@@ -1,4 +1,4 @@
-//! Numbers of a serial arm that is described by its joints, and what makes them no arm.
+//! Numbers of a serial arm that is described by its joints, and the refusal of invalid numbers.
 
 use nalgebra::{DMatrix, Quaternion, Translation3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};

@@ -1,4 +1,4 @@
-//! The error of a posture for a pose.
+//! The error of a posture with respect to a pose.
 
 use nalgebra::{Matrix3, Vector3, Vector6};
 
@@ -15,7 +15,7 @@ pub(super) struct Target {
     pub(super) free_axis: Option<Vector3<f64>>,
 }
 
-/// Displacement from a posture to its target: that of the origin, m, and the rotation vector, rad, both in the base
+/// Displacement from a posture to its target: translation of the origin, m, and rotation vector, rad, both in the base
 /// frame.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct PoseError {

@@ -88,7 +88,7 @@ impl Screws {
 }
 
 impl Displacement {
-    /// A point of the flange's zero place at the target.
+    /// Position at the target of a point that moves with the flange. `point` is its position with all joints at zero.
     pub(super) fn of(&self, point: &Vector3<f64>) -> Vector3<f64> {
         self.rotation * point + self.translation
     }

@@ -2,7 +2,7 @@
 
 use nalgebra::{Rotation3, Unit, Vector3};
 
-/// Length of a vector beside an axis, or amplitude of a condition, below which the angle counts as open.
+/// Distance of a vector from an axis, or amplitude of a condition, below which the angle counts as open.
 const OPEN: f64 = 1e-10;
 
 /// Relative excess of a condition beyond its amplitude up to which the nearest angle is tried.
@@ -20,7 +20,7 @@ pub(super) enum Roots {
 }
 
 impl Roots {
-    /// The angles. `near` stands for any angle, and `open` tells that the angle is open.
+    /// The angles. If any angle fulfils the condition, returns `near` and sets `open`.
     pub(super) fn or_near(self, near: f64, open: &mut bool) -> impl Iterator<Item = f64> + use<> {
         let (angles, count) = match self {
             Self::Two(angles) if angles[0] == angles[1] => (angles, 1),
@@ -54,7 +54,8 @@ pub(super) fn across(axis: &Vector3<f64>) -> Vector3<f64> {
     across.normalize()
 }
 
-/// The angle about `axis` from one vector to another, both seen along the axis. `None` if one lies on the axis.
+/// The angle about `axis` from one vector to another, both seen along the axis. `None` if one of the vectors lies on
+/// the axis.
 pub(super) fn angle(axis: &Vector3<f64>, from: &Vector3<f64>, to: &Vector3<f64>) -> Option<f64> {
     let (from, to) = (from - axis * axis.dot(from), to - axis * axis.dot(to));
     let (sin, cos) = (axis.dot(&from.cross(&to)), from.dot(&to));

@@ -7,7 +7,7 @@ use super::pose_error::Target;
 use super::screws::Screws;
 use super::subproblems::{Roots, across, angle, distance, product, turned};
 
-/// What makes the first three axes of an arm solvable.
+/// Geometry of the first three axes of an arm that gives a closed form.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Shoulder {
     /// Axes 1 and 2 are parallel.
@@ -120,7 +120,8 @@ impl SphericalWrist {
     }
 }
 
-/// The angles about `axis` by which `vector` turns to the distance of `to` from `from`, all seen along the axis.
+/// The angles about `axis` by which `vector` turns until its distance from `from` is the length of `to`, all seen along
+/// the axis.
 pub(super) fn planar_distance(
     axis: &Vector3<f64>,
     vector: &Vector3<f64>,
@@ -131,7 +132,7 @@ pub(super) fn planar_distance(
     distance(axis, &seen(vector), &seen(from), seen(to).norm())
 }
 
-/// The angle from one vector to another, or `near` where one lies on the axis.
+/// The angle from one vector to another, or `near` if one of the vectors lies on the axis.
 pub(super) fn angle_or(axis: &Vector3<f64>, from: &Vector3<f64>, to: &Vector3<f64>, near: f64, open: &mut bool) -> f64 {
     angle(axis, from, to).unwrap_or_else(|| {
         *open = true;

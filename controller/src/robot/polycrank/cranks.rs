@@ -144,10 +144,16 @@ impl Cranks {
         jacobian
     }
 
-    /// Both facings of a pose. `tilt` is the sine of the angle between axis 1 and tool axis, above zero.
-    pub(super) fn facings(&self, origin: &Vector3<f64>, axes: &Matrix3<f64>, tilt: f64) -> [Facing; 2] {
+    /// Both facings of a pose. The plane of one facing has the direction `(c, s)`, perpendicular to axis 1. `tilt` is
+    /// the sine of the angle between axis 1 and tool axis.
+    pub(super) fn facings(
+        &self,
+        origin: &Vector3<f64>,
+        axes: &Matrix3<f64>,
+        (c, s): (f64, f64),
+        tilt: f64,
+    ) -> [Facing; 2] {
         let (normal, approach) = (axes.column(0), axes.column(2));
-        let (c, s) = (approach.x / tilt, approach.y / tilt);
         let ahead = Vector3::new(c, s, 0.0);
         let along = Vector3::new(s, -c, 0.0);
         let level = Vector3::new(-approach.z * c, -approach.z * s, tilt);

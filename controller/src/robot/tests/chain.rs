@@ -1,4 +1,4 @@
-//! Chains: against the built-in robots, tables of Denavit and Hartenberg, and themselves.
+//! Chains, compared with the built-in robots, with tables of Denavit and Hartenberg, and with themselves.
 
 mod arms;
 mod golden;
@@ -27,7 +27,7 @@ fn built_in_robots_as_chains_have_the_same_flange() {
 /// The postures of a pose.
 type Solved = Result<Solutions, KinematicsError>;
 
-/// How many of random reachable poses are not solved from random postures. Every solution is checked.
+/// Number of random reachable poses without a solution from a random posture. Every solution is checked.
 fn unsolved(
     name: &str,
     chain: &Chain,

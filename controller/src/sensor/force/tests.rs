@@ -18,6 +18,7 @@ fn config() -> ForceSensorConfig {
         upright_from_base: UnitQuaternion::identity(),
         flange_from_sensor: along_z(0.09),
         load: Load::of_weight(2.0, Vector3::new(0.0, 0.0, 0.1)).unwrap(),
+        range: [65.0, 65.0, 130.0, 5.0, 5.0, 5.0],
         lag: Duration::ZERO,
         max_offset: [12.0, 12.0, 12.0, 1.0, 1.0, 1.0],
     }
@@ -69,6 +70,78 @@ fn contact_is_read_without_the_weight_of_the_tool_and_the_zero_in_every_orientat
         assert!((in_tool.force - found.force).amax() < 1e-12);
         assert!((in_tool.torque - found.torque - arm.cross(&found.force)).amax() < 1e-12, "{in_tool:?}");
     }
+}
+
+#[test]
+fn a_payload_is_compensated_beside_the_tool_and_keeps_the_zero() {
+    let (mut publisher, robot) = latest(servo::MAX_AXES);
+    let (mut device, link) = RehearsedWrench::new();
+    let config = config();
+    let sensor = ForceTorque::new(link.clone(), robot, config.clone());
+    let law = sensor.payload();
+    let (mass, centre) = (1.5, Vector3::new(0.02, 0.0, 0.18));
+    let part = Load::of_weight(mass, centre).unwrap();
+    let mut now = Instant::ZERO;
+    let mut read = |device: &mut RehearsedWrench, load: Wrench| {
+        now += Duration::from_millis(2);
+        device.advance(now, load.components());
+        sensor.read().unwrap().1.in_sensor().unwrap()
+    };
+    publisher.publish(&pitched(&config, -0.5));
+    let offset = Wrench::from_components([3.0, -5.0, 8.0, 0.1, 0.2, -0.3]);
+    let tool = sensor.weight().unwrap();
+    read(&mut device, offset + tool);
+    link.zero();
+    assert!(read(&mut device, offset + tool).force.norm() < 1e-9);
+    for pitch in [-0.5, 0.8] {
+        publisher.publish(&pitched(&config, pitch));
+        sensor.set_payload(0.0, centre).unwrap();
+        let orientation = sensor.base_from_sensor(&sensor.robot.read()).unwrap().rotation;
+        let weight = part.wrench(&SensorMotion::at_rest(orientation));
+        let tool = sensor.weight().unwrap();
+        let before = read(&mut device, offset + tool + weight);
+        assert!(
+            (before - weight).force.norm() < 1e-9 && (before.force.norm() - mass * 9.81).abs() < 1e-9,
+            "{before:?}"
+        );
+        sensor.set_payload(mass, centre).unwrap();
+        assert!((sensor.weight().unwrap() - tool - weight).force.norm() < 1e-9);
+        let after = read(&mut device, offset + tool + weight);
+        assert!(after.force.norm() < 1e-9 && after.torque.norm() < 1e-9, "{pitch}: {after:?}");
+        // A law takes the same load.
+        assert_eq!(law.take(&config.load), config.load.carrying(&part));
+    }
+    assert_eq!(sensor.payload_words().len(), 4);
+}
+
+#[test]
+fn a_payload_out_of_bounds_or_in_motion_is_refused_and_changes_nothing() {
+    let (mut publisher, robot) = latest(servo::MAX_AXES);
+    let (_device, link) = RehearsedWrench::new();
+    let config = config();
+    let sensor = ForceTorque::new(link, robot, config.clone());
+    publisher.publish(&pitched(&config, -0.5));
+    let weight = sensor.weight().unwrap();
+    let at = Vector3::new(0.0, 0.0, 0.1);
+    let refused = [
+        (f64::NAN, at, "mass of NaN kg"),
+        (-1.0, at, "mass of -1 kg"),
+        (f64::INFINITY, at, "mass of inf kg"),
+        (1.0, Vector3::new(0.0, f64::NAN, 0.0), "coordinate of NaN m"),
+        (1e3, at, "the weight of the tool with 1000 kg can load Fx by 9829.62 N, and its range is 65.00"),
+        (1.0, Vector3::new(3.0, 0.0, 0.0), "can load Ty by "),
+    ];
+    for (mass, centre, expected) in refused {
+        let error = sensor.set_payload(mass, centre).unwrap_err().to_string();
+        assert!(error.starts_with("payload not changed, ") && error.contains(expected), "{error}");
+    }
+    for phase in [Phase::Moving, Phase::Stopping] {
+        publisher.publish(&Snapshot { phase, ..pitched(&config, -0.5) });
+        assert_eq!(sensor.set_payload(1.0, at), Err(ForceError::PayloadInMotion));
+    }
+    assert_eq!(sensor.weight().unwrap(), weight);
+    publisher.publish(&Snapshot { phase: Phase::Standing, ..pitched(&config, -0.5) });
+    assert_eq!(sensor.set_payload(1.0, at), Ok(()));
 }
 
 #[test]

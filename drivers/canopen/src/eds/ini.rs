@@ -159,6 +159,15 @@ pub(super) fn sections(text: &str) -> Result<(Vec<Section<'_>>, Vec<EdsError>), 
     Ok((sections, before))
 }
 
+/// The line of `bytes`, from 1, that has a value of `key` in `section`. The case of letters does not matter.
+pub fn line_of(bytes: &[u8], section: &str, key: &str) -> Option<u32> {
+    let text = decode(bytes);
+    let (sections, _) = sections(&text).ok()?;
+    let name = known_name(section);
+    let section = sections.iter().find(|section| known_name(section.name) == name)?;
+    section.get(key).map(|value| value.line)
+}
+
 /// What the name of a section says.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(super) enum Kind {

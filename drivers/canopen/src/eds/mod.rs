@@ -34,6 +34,7 @@ use std::collections::BTreeMap;
 use crate::{NodeId, Object};
 
 pub use error::{EdsCause, EdsError, Flaw, FlawedLines, Part};
+pub use ini::line_of;
 pub use strip::{Stripped, strip};
 pub use value::Value;
 
@@ -382,19 +383,41 @@ impl Eds {
     /// the file comes first, then its default, then `DeviceInfo`. The value 0 states nothing, as in object 0x1F85 of
     /// a master (CiA 302).
     pub fn identity(&self, subindex: u8) -> Option<u32> {
-        let variable = self.variable(Object::new(0x1018, subindex));
-        let stated = variable.and_then(|variable| match &variable.parameter {
-            Some(Parameter { value: ParameterValue::Value(value), .. }) => Some(value),
-            _ => variable.default.as_ref(),
-        });
-        let number = |value: &Value| u32::try_from(value.integer(NodeId::MAX)?).ok();
         let device = match subindex {
             1 => self.device.vendor_number,
             2 => self.device.product_number,
             3 => self.device.revision_number,
             _ => None,
         };
-        let stated = stated.and_then(number).filter(|&number| number != 0);
+        let stated = self.identity_of_object(subindex).map(|(number, _)| number);
         stated.or(device).filter(|&number| number != 0)
+    }
+
+    /// The line of `bytes`, from 1, that states what [`Eds::identity`] returns. `bytes` is the text that was read.
+    pub fn identity_line(&self, bytes: &[u8], subindex: u8) -> Option<u32> {
+        let key = match subindex {
+            1 => "VendorNumber",
+            2 => "ProductNumber",
+            _ => "RevisionNumber",
+        };
+        match self.identity_of_object(subindex) {
+            Some((_, Some(line))) => Some(line),
+            Some((_, None)) => {
+                let sections = [format!("1018sub{subindex:x}"), "1018".to_owned()];
+                sections.iter().find_map(|section| line_of(bytes, section, "DefaultValue"))
+            }
+            None => line_of(bytes, "DeviceInfo", key),
+        }
+    }
+
+    /// A sub-index of object 0x1018 that is not 0, and the line of its parameter value; of a default no line.
+    fn identity_of_object(&self, subindex: u8) -> Option<(u32, Option<u32>)> {
+        let variable = self.variable(Object::new(0x1018, subindex))?;
+        let (value, line) = match &variable.parameter {
+            Some(Parameter { value: ParameterValue::Value(value), line }) => (value, Some(*line)),
+            _ => (variable.default.as_ref()?, None),
+        };
+        let number = u32::try_from(value.integer(NodeId::MAX)?).ok()?;
+        (number != 0).then_some((number, line))
     }
 }

@@ -29,9 +29,10 @@ const ANSWERS_TO_FREEZE: u32 = 25;
 /// - A position is *plausible* if it is within reach and the greatest acceleration covers the change of velocity.
 ///
 /// Plausible positions are accepted at once. A position that is only within reach is accepted when the next answer
-/// agrees with it. A position beyond reach is a jump of the counter when three answers agree about it. A step within reach
-/// that the acceleration cannot explain is a jump when two further answers confirm it ([`StepCheck`]). A position that waits
-/// for the next answer is part of this check, so that a step is judged over the time between two answers.
+/// agrees with it. A position beyond reach is a jump of the counter when three answers agree about it. A step within
+/// reach that the acceleration cannot explain is a jump when two further answers confirm it ([`StepCheck`]). A position
+/// that waits for the next answer also takes part in this check, so that a step is judged over the time between two
+/// answers.
 #[derive(Clone, Debug)]
 pub(super) struct PositionCheck {
     /// Increments/s.
@@ -64,7 +65,7 @@ struct Candidate {
     answers: u32,
     /// The position is beyond reach, and the index pulse cannot have set it.
     beyond_reach: bool,
-    /// Has taken the positions of these answers.
+    /// Check of steps, which has taken the positions of these answers.
     steps: StepCheck,
 }
 

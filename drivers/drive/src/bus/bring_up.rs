@@ -66,16 +66,19 @@ pub(crate) struct Learnt {
     pub(crate) mode_shown: Option<ModeOfOperation>,
     /// Software position limits of the drive that lie within the positions of the cell.
     pub(crate) software_limits: Option<WarningCause>,
+    /// Whether the drive lacks object 0x1029:01.
+    pub(crate) lacks_error_behaviour: bool,
     /// Comparison of the settings of [`Purpose::Compare`].
     pub(crate) comparison: Comparison,
 }
 
 impl Learnt {
-    /// What the drive holds otherwise than the cell or the device configuration file.
+    /// Warnings of values in the drive that differ from the cell or from the device configuration file.
     pub(crate) fn warnings(&self) -> impl Iterator<Item = WarningCause> + use<> {
         let Comparison { values, different, first } = self.comparison;
         let compared = first.map(|first| WarningCause::Compared { values, different, first });
-        compared.into_iter().chain(self.software_limits)
+        let unknown = self.lacks_error_behaviour.then_some(WarningCause::NoErrorBehaviour);
+        compared.into_iter().chain(self.software_limits).chain(unknown)
     }
 }
 
@@ -84,7 +87,7 @@ impl Learnt {
 pub(crate) struct Comparison {
     /// Number of compared values.
     pub(crate) values: u32,
-    /// Number of values that differ, or that the drive does not give.
+    /// Number of values that differ, or that cannot be read from the drive.
     pub(crate) different: u32,
     /// The first object that differs.
     pub(crate) first: Option<Object>,
@@ -141,7 +144,7 @@ enum Phase {
 struct Progress {
     step: usize,
     reading_back: bool,
-    /// A value was read that need not be written, and the drive holds another.
+    /// Whether the value of a setting was read that need not be written, and the drive holds another value.
     questioned: bool,
     /// The request of this step is under way.
     asked: bool,
@@ -359,7 +362,7 @@ impl NodeBringUp {
         written.is_some() && self.program[step + 1..].iter().any(|later| later.written() == written)
     }
 
-    /// Whether the step of a setting writes without a question, or after it.
+    /// Whether the step of a setting writes: always, or after `questioned` found another value in the drive.
     fn is_written(&self, number: usize, questioned: bool) -> bool {
         questioned || self.configuration[number].purpose == Purpose::Write
     }
@@ -412,7 +415,10 @@ impl NodeBringUp {
                 self.unwatched = !is_timer(write.object);
                 return Ok(Next::Step);
             }
-            Step::Set(_, Need::Optional) if absent => return Ok(Next::Step),
+            Step::Set(write, Need::Optional) if absent => {
+                self.learnt.lacks_error_behaviour |= write.object == canopen::objects::ERROR_BEHAVIOUR;
+                return Ok(Next::Step);
+            }
             Step::Set(_, Need::Optional) if read_only && !reading_back => {
                 return Ok(Next::ReadBack);
             }
@@ -534,7 +540,7 @@ impl NodeBringUp {
 }
 
 /// The warning of software limits that stop a motor within the positions of the cell. A drive whose lower limit is not
-/// below its upper limit has none.
+/// below its upper limit has no software limits.
 fn narrower([low, high]: [i32; 2], cell: [Increments; 2]) -> Option<WarningCause> {
     let [Increments(least), Increments(most)] = cell;
     let narrows = low < high && (least < low || most > high);

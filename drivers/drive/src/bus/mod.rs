@@ -69,6 +69,9 @@ use service::ServiceFrame;
 /// Greatest number of SDO frames sent by one call of bring-up. A transmit queue of ten has room for them.
 const SDO_FRAMES_PER_CALL: usize = 8;
 
+/// Duration of the shortest frame at the highest bit rate: 47 bits at 1 Mbit/s.
+const SHORTEST_FRAME: Duration = Duration::from_micros(47);
+
 /// Frames of a cycle in addition to one set-point for each axis and one command for each I/O node: SYNC, the host's
 /// heartbeat and a service request. A port must take all frames of a cycle at once, or set-points are dropped.
 pub const BESIDE_SETPOINTS: usize = 3;
@@ -246,7 +249,7 @@ impl<P: Port> CanBus<P> {
         Sign::of(frame, self.config.host_node, |node| self.routes.place(node).is_some())
     }
 
-    /// Warns of what bring-up found in the drives.
+    /// Takes the warnings that bring-up found in the drives.
     fn warn_of_bring_up(&mut self) {
         for member in &self.members {
             let node = member.bring_up.node().raw();
@@ -254,6 +257,13 @@ impl<P: Port> CanBus<P> {
                 self.warnings.add(Warning { after: Duration::ZERO, node, cause, count: 1 });
             }
         }
+    }
+
+    /// Greatest number of readings in a cycle. The readings suffice for the shortest frames of a full bus in a period,
+    /// and for the frames of a late cycle.
+    fn readings(&self) -> usize {
+        let frames = self.config.period.as_micros() / SHORTEST_FRAME.as_micros();
+        2 + usize::try_from(frames).unwrap_or_default() / self.received.len()
     }
 
     /// Takes one frame during operation. `None` means an undecodable or unexpected frame.
@@ -388,15 +398,24 @@ impl<P: Port> DriveGroup for CanBus<P> {
     fn read(&mut self, now: Instant, states: &mut [AxisState]) {
         self.counters.last_bus_time = Duration::ZERO;
         self.sensors.iter_mut().for_each(WrenchNode::begin_of_read);
-        match self.port.receive(now, &mut self.received) {
-            Ok(count) => {
-                for i in 0..count {
-                    if self.take(self.received[i], now).is_none() {
-                        self.counters.unexpected += 1;
+        // Foreign frames may fill the buffer several times. Another reading follows only if the buffer was full.
+        for _ in 0..self.readings() {
+            match self.port.receive(now, &mut self.received) {
+                Ok(count) => {
+                    for i in 0..count {
+                        if self.take(self.received[i], now).is_none() {
+                            self.counters.unexpected += 1;
+                        }
+                    }
+                    if count < self.received.len() {
+                        break;
                     }
                 }
+                Err(error) => {
+                    self.latch_all(Fault::Port(error), IoFault::Port(error));
+                    break;
+                }
             }
-            Err(error) => self.latch_all(Fault::Port(error), IoFault::Port(error)),
         }
         // Checked first, because silence is a consequence of bus-off.
         if self.port.state() == ControllerState::BusOff {

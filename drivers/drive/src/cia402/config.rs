@@ -141,11 +141,11 @@ pub struct Setting {
 /// What bring-up does with a value.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Purpose {
-    /// It is written.
+    /// The value is written.
     Write,
-    /// It is read, and written if the drive holds another value.
+    /// The value is read, and written if the drive holds another value.
     WriteIfDifferent,
-    /// It is read. A difference is a warning.
+    /// The value is read. A difference is a warning.
     Compare,
 }
 

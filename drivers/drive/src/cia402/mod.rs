@@ -89,7 +89,7 @@ pub use process_data::pdo_setups;
 pub(crate) use process_data::{SHOWN_APART, is_timer, mode_shown, request_len};
 pub(crate) use program::program;
 pub use recording::Recording;
-pub use reserved::{Reserved, reserved};
+pub use reserved::{Reserved, reserved, reserved_by_any};
 
 #[cfg(doc)]
 use crate::Power;

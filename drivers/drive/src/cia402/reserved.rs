@@ -123,3 +123,8 @@ pub fn reserved(vendor: u32, index: u16, subindex: u8) -> Option<Reserved> {
     let why = rule.map(|(_, why)| *why).or(polarity.then_some(SENSE))?;
     Some(Reserved { object, why })
 }
+
+/// The reservation of an object of a drive of an unknown vendor: the reservation by any vendor.
+pub fn reserved_by_any(index: u16, subindex: u8) -> Option<Reserved> {
+    reserved(MAXON, index, subindex)
+}

@@ -4,7 +4,7 @@ use canopen::cia402::Statusword;
 
 use crate::WarningCause;
 
-/// Bits that are warnings, and those that were set since they were taken.
+/// Bits of the last statusword, and the warning bits that were set since the last [`take`](Self::take).
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct StatusWarnings {
     shown: u16,
@@ -16,8 +16,8 @@ const BITS: [(u16, WarningCause); 2] =
     [(Statusword::WARNING, WarningCause::Reported), (Statusword::INTERNAL_LIMIT, WarningCause::Limited)];
 
 impl StatusWarnings {
-    /// Takes a statusword. `limits`: a limit is no part of the drive's present work. A search for the reference runs into
-    /// switches, and a drive that is off may stand at one.
+    /// Takes a statusword. `limits` is whether an internal limit counts as a warning. A limit is normal for a drive
+    /// that searches for its reference and runs into a switch, and for a drive that is off and stands at a switch.
     pub(super) fn look(&mut self, word: Statusword, limits: bool) {
         let counted = Statusword::WARNING | if limits { Statusword::INTERNAL_LIMIT } else { 0 };
         self.set |= word.0 & !self.shown & counted;

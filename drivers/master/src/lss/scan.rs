@@ -89,6 +89,15 @@ impl Scan {
         }
     }
 
+    /// Whether a late answer would mislead the scan if the question counted as not answered: a slave would be hidden, or
+    /// the answer would confirm a wrong number.
+    pub(super) fn is_misled_by_late_answers(&self) -> bool {
+        match self.step {
+            Step::Reset { .. } | Step::Same | Step::Bit(0) => true,
+            Step::Nonsense(_) | Step::Greater(_) | Step::Bit(_) | Step::Confirm => false,
+        }
+    }
+
     /// Takes the answer to the question: whether any slave agreed.
     pub(super) fn answered(&mut self, agreed: bool) -> Next {
         match (self.step, agreed) {

@@ -46,12 +46,22 @@ fn each_service_sends_these_frames_and_takes_these_answers() {
         (Service::Store, "7E5#1700000000000000 7E4#1700000000000000", Answer::Done),
         (
             Service::InquireIdentity,
-            "7E5#5A00000000000000 7E4#5AFB000000000000 7E5#5B00000000000000 7E4#5B00005265000000
-             7E5#5C00000000000000 7E4#5C00007001000000 7E5#5D00000000000000 7E4#5D78563412000000",
+            "7E5#5A00000000000000 7E4#5AFB000000000000 7E5#5A00000000000000 7E4#5AFB000000000000
+             7E5#5B00000000000000 7E4#5B00005265000000 7E5#5B00000000000000 7E4#5B00005265000000
+             7E5#5C00000000000000 7E4#5C00007001000000 7E5#5C00000000000000 7E4#5C00007001000000
+             7E5#5D00000000000000 7E4#5D78563412000000 7E5#5D00000000000000 7E4#5D78563412000000",
             Answer::Identity(IDENTITY),
         ),
-        (Service::InquireNodeId, "7E5#5E00000000000000 7E4#5E05000000000000", Answer::NodeId(node)),
-        (Service::InquireNodeId, "7E5#5E00000000000000 7E4#5EFF000000000000", Answer::NodeId(None)),
+        (
+            Service::InquireNodeId,
+            "7E5#5E00000000000000 7E4#5E05000000000000 7E5#5E00000000000000 7E4#5E05000000000000",
+            Answer::NodeId(node),
+        ),
+        (
+            Service::InquireNodeId,
+            "7E5#5E00000000000000 7E4#5EFF000000000000 7E5#5E00000000000000 7E4#5EFF000000000000",
+            Answer::NodeId(None),
+        ),
     ];
     for (service, dialogue, answer) in table {
         let mut master = started(service);
@@ -77,7 +87,7 @@ fn refusals_say_why() {
         assert_eq!(master.poll(), Some(Err(refused(service, error, specific))));
     }
     let mut master = started(Service::InquireNodeId);
-    play(&mut master, at(0), "7E5#5E00000000000000 7E4#5E80000000000000");
+    play(&mut master, at(0), "7E5#5E00000000000000 7E4#5E80000000000000 7E5#5E00000000000000 7E4#5E80000000000000");
     assert_eq!(master.poll(), Some(Err(LssError::NodeId { node_id: 128 })));
     assert_eq!(
         refused(Service::Store, 2, 0).to_string(),
@@ -170,9 +180,15 @@ fn a_scan_that_nobody_owns_up_to_fails() {
     play(&mut master, at(0), "7E5#5100000000800000 7E4#4F00000000000000");
     let mut millis = 0;
     // A question out of turn, 32 bits and their confirmation.
-    for _ in 0..34 {
+    for question in 0..34 {
         millis += 100;
         master.handle_timeout(at(millis));
+        if question == 33 {
+            // The confirmation waits for late answers.
+            assert!(master.poll_transmit(at(millis)).is_none());
+            millis += 100;
+            master.handle_timeout(at(millis));
+        }
         assert!(master.poll_transmit(at(millis)).is_some());
     }
     master.handle_timeout(at(millis + 100));
@@ -190,4 +206,38 @@ fn one_service_at_a_time() {
     assert_eq!(master.start(inquire, TIME_OUT, at(0)), busy(inquire));
     assert_eq!(master.poll(), Some(Ok(Answer::Done)));
     assert_eq!(master.start(inquire, TIME_OUT, at(0)), Ok(()));
+}
+
+#[test]
+fn the_late_answer_to_an_earlier_inquiry_is_not_that_of_the_next() {
+    // Node 3 answered too late, and node 5 is asked.
+    let mut master = started(Service::InquireNodeId);
+    play(
+        &mut master,
+        at(0),
+        "7E5#5E00000000000000 7E4#5E03000000000000 7E5#5E00000000000000 7E4#5E05000000000000
+         7E5#5E00000000000000 7E4#5E05000000000000",
+    );
+    assert_eq!(master.poll(), Some(Ok(Answer::NodeId(NodeId::new(5)))));
+    // The vendor-ID of another slave.
+    let mut master = started(Service::InquireIdentity);
+    play(
+        &mut master,
+        at(0),
+        "7E5#5A00000000000000 7E4#5A12000000000000 7E5#5A00000000000000 7E4#5AFB000000000000
+         7E5#5A00000000000000 7E4#5AFB000000000000 7E5#5B00000000000000 7E4#5AFB000000000000
+         7E4#5B00005265000000 7E5#5B00000000000000 7E4#5B00005265000000
+         7E5#5C00000000000000 7E4#5C00007001000000 7E5#5C00000000000000 7E4#5C00007001000000
+         7E5#5D00000000000000 7E4#5D78563412000000 7E5#5D00000000000000 7E4#5D78563412000000",
+    );
+    assert_eq!(master.poll(), Some(Ok(Answer::Identity(IDENTITY))));
+}
+
+#[test]
+fn answers_that_never_agree_fail_the_inquiry() {
+    let mut master = started(Service::InquireNodeId);
+    let dialogue: String = (1..=4).map(|node| format!("7E5#5E00000000000000 7E4#5E0{node}000000000000 ")).collect();
+    play(&mut master, at(0), &dialogue);
+    let service = Service::InquireNodeId;
+    assert_eq!(master.poll(), Some(Err(LssError::Disagree { service })));
 }

@@ -273,6 +273,7 @@ fn state_lines_and_error_lines_show_in_state_and_counters() {
     assert_eq!(stage.receive(1), Ok(vec![]));
     let counters = stage.port.counters();
     assert_eq!((counters.errors, counters.dropped, counters.refused), (2, 1, 1));
+    assert_eq!((counters.passive, counters.bus_off), (1, 1), "of the states before");
 }
 
 #[test]

@@ -154,3 +154,23 @@ fn an_error_of_an_axis_says_its_name() {
         assert_eq!(robot.naming_axes(error), said);
     }
 }
+
+#[test]
+fn an_axis_is_found_by_the_names_that_are_unique_among_those_meant() {
+    let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../cells/lab.toml");
+    let file = CellFile::read(&path).unwrap();
+    let find = |name: &str, on_can| file.find_axis(name, on_can).map_err(|error| error.to_string());
+    // The IRb-6 of this cell, which has a column too, has axis controllers on serial lines.
+    for name in ["column", "irp6-track.column", "irp6-track/column"] {
+        assert_eq!(find(name, true), Ok((1, 1)), "{name}");
+    }
+    let both = "more than one axis is called \"column\": irb6.column, irp6-track.column";
+    assert_eq!(find("column", false), Err(both.to_owned()));
+    let rolls = "more than one axis is called \"wrist-roll\" with a drive on CAN: irp6-track.wrist-roll (node 2), \
+                 rnt.wrist-roll (node 4)";
+    assert_eq!(find("wrist-roll", true), Err(rolls.to_owned()));
+    for name in ["irb6.column", "elbow"] {
+        let none = format!("no axis is called {name:?} with a drive on CAN; there are irp6-track.track (node 1), ");
+        assert!(find(name, true).is_err_and(|error| error.starts_with(&none)), "{name}");
+    }
+}

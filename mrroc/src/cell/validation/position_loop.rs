@@ -7,7 +7,7 @@
 
 use std::time::Duration;
 
-use servo::{LoopBounds, LoopPlant, Output};
+use servo::{LoopBounds, Output};
 
 use super::{Checked, by_servo, refused, within};
 use crate::cell::{Axis, Drive, DriveControl, Law, Path, Range};
@@ -81,7 +81,7 @@ pub(super) fn check(path: &Path, period: Duration, axis: &Axis) -> Checked {
     given.law.check(&bounds).map_err(|refusal| by_servo(&path.then("law"), refusal))?;
     let feed_forward = given.feed_forward.check(given.law.limit(), &bounds);
     feed_forward.map_err(|refusal| by_servo(&path.then("feed_forward"), refusal))?;
-    let delay = if axis.drive.is_some() { drive::cia402::DELAY } else { drive::axis_controller::DELAY };
-    let plant = LoopPlant::new(period, delay, &given.law, &given.feed_forward);
-    plant.check(&given.law).map_err(|refusal| by_servo(&path.then("law"), refusal))
+    axis.loop_plant(period)
+        .map_or(Ok(()), |(plant, law, _)| plant.check(&law))
+        .map_err(|refusal| by_servo(&path.then("law"), refusal))
 }

@@ -18,7 +18,7 @@ pub(super) fn check(cell: &Cell) -> Checked {
         check_parameters(&path, robot)?;
         let key = if robot.chain.is_some() { "chain" } else { "parameters" };
         let kinematics = robot.kinematics().map_err(|error| (path.then(key), error.to_string()))?;
-        robot.numbers().check_mechanism().map_err(|error| (path.then(key), error.to_string()))?;
+        robot.numbers().check_mechanism().map_err(|error| (path.then(key), error))?;
         let axes = path.then("axis");
         count(axes.clone(), robot.axis.len(), robot.numbers().axes(), "axes")?;
         let (limits, home) = (kinematics.motor_limits(), kinematics.home());

@@ -1,7 +1,6 @@
 //! Data sheet of a robot: its parameters with unit, tag and source, and its position loops.
 
 use std::fmt::Write as _;
-use std::mem::discriminant;
 
 use controller::robot::RobotParameters as _;
 use mrroc::cell::Model;
@@ -20,6 +19,8 @@ pub(crate) enum Tag {
     Nominal,
     /// Value from the cell file that differs from every preset.
     CellFile,
+    /// Value from the program that registers the robot.
+    Program,
 }
 
 pub(crate) const WUT: &str = "ptroja/mrrocpp, src/robot/irp6p_m";
@@ -41,8 +42,8 @@ pub(crate) const BY_DRIVE: &str = "by the drive (CSP): emulated with a velocity 
 pub(crate) fn sheet(machine: &Machine) -> String {
     let described_as = described(&machine.parameters);
     // Built-in parameters of robots of the same kind.
-    let mut presets = Model::ALL.map(Model::parameters).to_vec();
-    presets.retain(|preset| discriminant(preset) == discriminant(&machine.parameters));
+    let mut presets: Vec<_> = Model::all().into_iter().map(Model::parameters).collect();
+    presets.retain(|preset| preset.name() == machine.parameters.name());
     let presets: Vec<_> = presets.iter().map(described).collect();
     let (name, about) = (&machine.name, described_as.about);
     let of_cell = if presets.is_empty() { " --cell CELL" } else { "" };
@@ -133,6 +134,7 @@ impl Tag {
             Self::Derived(how) => format!("derived | {how}"),
             Self::Nominal => "nominal | none published".into(),
             Self::CellFile => "cell file | set there".into(),
+            Self::Program => "program | that of the robot".into(),
         }
     }
 }

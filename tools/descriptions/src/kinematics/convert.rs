@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use anyhow::{Context as _, anyhow};
 use clap::Args;
 use controller::robot::Joint;
-use controller::trajectory_file::{Coordinates, JointConvention, TrajectoryFile};
+use controller::trajectory_file::{Coordinates, JointConvention, TrajectoryError, TrajectoryFile};
 use mrroc::tasks::convention;
 use mrroc::{input, streams};
 
@@ -55,5 +55,9 @@ pub(super) fn convert(machine: &Machine, options: &Conversion) -> anyhow::Result
              fraction of its row"
         ));
     }
-    file.to_joints(&arm, options.joints, &start).with_context(|| place.clone())
+    let converted = file.to_joints(&arm, options.joints, &start).map_err(|error| match error {
+        TrajectoryError::TwoReadings(_) => anyhow!("{error}: give --joints"),
+        error => error.into(),
+    });
+    converted.with_context(|| place.clone())
 }

@@ -149,9 +149,8 @@ impl Machine {
 }
 
 fn preset(name: &str) -> anyhow::Result<Parameters> {
-    let found = Model::ALL.into_iter().find(|model| model.name() == name);
-    let unknown = || unknown("there is no robot", name, Model::ALL.into_iter().map(Model::name));
-    Ok(found.ok_or_else(unknown)?.parameters())
+    let unknown = || unknown("there is no robot", name, Model::all().into_iter().map(Model::name));
+    Ok(Model::named(name).ok_or_else(unknown)?.parameters())
 }
 
 fn unknown<'a>(what: &str, name: &str, known: impl Iterator<Item = &'a str>) -> anyhow::Error {

@@ -3,13 +3,10 @@
 use controller::robot::{ChainJoint, ChainParameters, Joints, LinkKind};
 use nalgebra::Vector3;
 
-use super::{Described, Description, Drawing};
+use super::{Described, Description, Drawing, SYMBOLS};
 use crate::datasheet::drives::{drive, range, signed};
 use crate::datasheet::figure::View;
 use crate::datasheet::tables::{Row, Tag};
-
-/// Names of the joints in the formulas.
-const SYMBOLS: [&str; 8] = ["q1", "q2", "q3", "q4", "q5", "q6", "q7", "q8"];
 
 impl Described for ChainParameters {
     fn description(&self) -> Description<'_> {

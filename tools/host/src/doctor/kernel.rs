@@ -17,18 +17,13 @@ pub(super) fn findings(tree: &Tree, period_us: Option<u32>, fifo: bool) -> Vec<F
     let realtime = tree.text("/sys/kernel/realtime").as_deref() == Some("1");
     let mut findings = vec![preemption(&version, realtime), timers(config, period_us)];
     findings.extend(throttling(tree.number(RUNTIME), tree.number("/proc/sys/kernel/sched_rt_period_us")));
-    let groups = tree.text("/proc/self/cgroup").unwrap_or_default();
-    let group = cpu_group(&groups);
-    let runtime = group.and_then(|group| {
-        let files = ["cpu", "cpu,cpuacct", "cpuacct,cpu"]
-            .map(|controller| format!("/sys/fs/cgroup/{controller}{group}/cpu.rt_runtime_us"));
-        files.iter().find_map(|file| tree.number(file))
-    });
-    // The single hierarchy of cgroup version 2 has number 0 and no controllers.
-    let unified = groups.lines().find_map(|line| line.strip_prefix("0::"));
-    let unified = unified.filter(|&group| group != "/" && !fifo);
-    findings.push(group_scheduling(config, group, runtime, unified));
+    findings.push(Group::of(tree, fifo).finding(config));
     findings
+}
+
+/// Whether the control group of this process has no real-time run time, as far as the host tells.
+pub(super) fn lacks_run_time(tree: &Tree, fifo: bool) -> bool {
+    Group::of(tree, fifo).lacks_run_time(tree.kernel_config().as_deref())
 }
 
 fn preemption(version: &str, realtime: bool) -> Finding {
@@ -105,41 +100,75 @@ fn cpu_group(groups: &str) -> Option<&str> {
     })
 }
 
-/// Finding about real-time group scheduling. `unified` is the cgroup version 2 group of a process that was denied
-/// SCHED_FIFO. Version 2 grants real-time run time to its root group only.
-fn group_scheduling(
-    config: Option<&str>,
-    group: Option<&str>,
-    runtime_us: Option<i64>,
-    unified: Option<&str>,
-) -> Finding {
-    let built = config.and_then(|config| option(config, "CONFIG_RT_GROUP_SCHED")) == Some("y");
-    let unified = unified.filter(|_| built && group.is_none());
-    let read = match (built, group.or(unified), runtime_us) {
-        (_, Some(group), Some(runtime)) => format!("group {group} has {runtime} µs"),
-        (true, Some(group), None) => format!("built in, group {group}"),
-        (true, None, None) => "built in, no group of the CPU controller".to_owned(),
-        _ => "not in use".to_owned(),
-    };
-    let finding = Finding::new(
-        OF,
-        "real-time group scheduling",
-        read,
-        "a control group without real-time run time is denied SCHED_FIFO, whatever the limits say",
-    );
-    if unified.is_some() {
-        return finding.judged(
-            Verdict::Warning,
-            "echo $$ > /sys/fs/cgroup/cgroup.procs before the start, as root; or a kernel without \
-             CONFIG_RT_GROUP_SCHED, as Debian's are",
-        );
+/// Control group of this process, as far as it decides about SCHED_FIFO.
+#[derive(Default)]
+struct Group {
+    /// Group under the CPU controller of cgroup version 1.
+    group: Option<String>,
+    /// File of its real-time run time, and the run time, µs.
+    runtime: Option<(String, i64)>,
+    /// Group of cgroup version 2 of a process that was denied SCHED_FIFO. Version 2 grants real-time run time to its root
+    /// group only.
+    unified: Option<String>,
+}
+
+impl Group {
+    fn of(tree: &Tree, fifo: bool) -> Self {
+        let groups = tree.text("/proc/self/cgroup").unwrap_or_default();
+        let group = cpu_group(&groups);
+        let runtime = group.and_then(|group| {
+            let files = ["cpu", "cpu,cpuacct", "cpuacct,cpu"].map(|controller| {
+                format!("/sys/fs/cgroup/{controller}{}/cpu.rt_runtime_us", group.trim_end_matches('/'))
+            });
+            files.into_iter().find_map(|file| tree.number(&file).map(|runtime| (file, runtime)))
+        });
+        // The single hierarchy of cgroup version 2 has number 0 and no controllers.
+        let unified = groups.lines().find_map(|line| line.strip_prefix("0::"));
+        let unified = unified.filter(|&group| group != "/" && !fifo);
+        Self { group: group.map(str::to_owned), runtime, unified: unified.map(str::to_owned) }
     }
-    let (Some(group), Some(0)) = (group, runtime_us) else {
-        return finding;
-    };
-    let file = format!("/sys/fs/cgroup/cpu{group}/cpu.rt_runtime_us");
-    let mend = format!("echo 800000 > {file}, its parents first; or start from the root group");
-    finding.judged(Verdict::NotUsable, mend)
+
+    /// The group of version 2 without real-time run time, in a kernel that groups real-time threads.
+    fn unified(&self, config: Option<&str>) -> Option<&str> {
+        self.unified.as_deref().filter(|_| is_built(config) && self.group.is_none())
+    }
+
+    fn lacks_run_time(&self, config: Option<&str>) -> bool {
+        matches!(self.runtime, Some((_, 0))) || self.unified(config).is_some()
+    }
+
+    fn finding(&self, config: Option<&str>) -> Finding {
+        let unified = self.unified(config);
+        let read = match (is_built(config), self.group.as_deref().or(unified), &self.runtime) {
+            (_, Some(group), Some((_, runtime))) => format!("group {group} has {runtime} µs"),
+            (true, Some(group), None) => format!("built in, group {group}"),
+            (true, None, None) => "built in, no group of the CPU controller".to_owned(),
+            _ => "not in use".to_owned(),
+        };
+        let finding = Finding::new(
+            OF,
+            "real-time group scheduling",
+            read,
+            "a control group without real-time run time is denied SCHED_FIFO, whatever the limits say",
+        );
+        if unified.is_some() {
+            return finding.judged(
+                Verdict::Warning,
+                "echo $$ > /sys/fs/cgroup/cgroup.procs before the start, as root; or a kernel without \
+                 CONFIG_RT_GROUP_SCHED, as Debian's are",
+            );
+        }
+        let Some((file, 0)) = &self.runtime else {
+            return finding;
+        };
+        let mend = format!("echo 800000 > {file}, its parents first; or start from the root group");
+        finding.judged(Verdict::NotUsable, mend)
+    }
+}
+
+/// Whether the kernel groups real-time threads.
+fn is_built(config: Option<&str>) -> bool {
+    config.and_then(|config| option(config, "CONFIG_RT_GROUP_SCHED")) == Some("y")
 }
 
 #[cfg(test)]
@@ -212,8 +241,11 @@ mod tests {
             (None, None, None, Ok, "not in use"),
         ];
         for (config, group, runtime, verdict, read) in table {
-            let finding = group_scheduling(config, group, runtime, None);
+            let runtime = runtime.map(|runtime| ("/rt".to_owned(), runtime));
+            let group = Group { group: group.map(str::to_owned), runtime, unified: None };
+            let finding = group.finding(config);
             assert_eq!((finding.verdict, &*finding.read), (verdict, read));
+            assert_eq!(group.lacks_run_time(config), verdict != Ok);
         }
         let table = [
             (built, None, Some("/user.slice"), Warning),
@@ -222,8 +254,10 @@ mod tests {
             (None, None, Some("/user.slice"), Ok),
         ];
         for (config, group, unified, verdict) in table {
-            let finding = group_scheduling(config, group, None, unified);
+            let group = Group { group: group.map(str::to_owned), runtime: None, unified: unified.map(str::to_owned) };
+            let finding = group.finding(config);
             assert_eq!(finding.verdict, verdict, "{}", finding.read);
+            assert_eq!(group.lacks_run_time(config), verdict != Ok);
         }
         let first = "9:name=systemd:/\n4:cpu,cpuacct:/lab/robot\n0::/user.slice";
         assert_eq!(cpu_group(first), Some("/lab/robot"));

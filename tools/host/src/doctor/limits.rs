@@ -5,6 +5,7 @@ use servo::thread::{Denial, Grant, LIMITS, Limit};
 
 use super::finding::{Finding, Verdict};
 use super::fix::{Fix, Knob};
+use super::kernel;
 use super::tree::{Access, Tree, field};
 
 const OF: &str = "limits";
@@ -71,7 +72,8 @@ impl Identity {
 pub(super) fn findings(tree: &Tree, realtime: &Realtime, tried: Result<(), Denial>) -> Vec<Finding> {
     let identity = Identity::of(tree);
     let limits = tree.text("/proc/self/limits").unwrap_or_default();
-    let beyond_limits = matches!(tried, Err(Denial::Deadline { .. }));
+    let beyond_limits = matches!(tried, Err(Denial::Deadline { .. } | Denial::FifoInGroup { .. }));
+    let in_group = tried.is_err() && kernel::lacks_run_time(tree, false);
     let mut findings = vec![scheduling(&limits, &identity, realtime, tried)];
     if realtime.lock_memory {
         findings.push(memory(&limits, &identity, realtime.policy));
@@ -87,6 +89,15 @@ pub(super) fn findings(tree: &Tree, realtime: &Realtime, tried: Result<(), Denia
                 finding.mend = Some(format!("{LIMITS} grants it to group realtime and not {why}"));
             }
         }
+    }
+    if in_group
+        && !beyond_limits
+        && let Some(mend) = &mut findings[0].mend
+    {
+        *mend = format!(
+            "see first the row \"real-time group scheduling\": in this control group, no limit and no capability grants it. \
+             Then: {mend}"
+        );
     }
     findings
 }
@@ -161,6 +172,7 @@ fn scheduling(limits: &str, identity: &Identity, realtime: &Realtime, tried: Res
     );
     match tried {
         Ok(()) => finding,
+        Err(denial @ Denial::FifoInGroup { .. }) => finding.judged(denied(realtime.policy), denial.to_string()),
         Err(denial) => finding.judged(denied(realtime.policy), format!("{denial}; in a container --cap-add SYS_NICE")),
     }
 }
@@ -282,6 +294,40 @@ Max realtime timeout      unlimited            unlimited            us        ";
                 assert!(mend.contains("`usermod -aG realtime USER`, then log in again"), "{mend}");
             }
         }
+    }
+
+    #[test]
+    fn no_limit_is_offered_in_a_group_without_real_time_run_time() {
+        const VERSION_1: &[(&str, &str)] = &[
+            ("proc/self/cgroup", "4:cpu,cpuacct:/lab\n0::/"),
+            ("sys/fs/cgroup/cpu,cpuacct/lab/cpu.rt_runtime_us", "0"),
+        ];
+        const VERSION_2: &[(&str, &str)] = &[
+            ("proc/self/cgroup", "0::/user.slice"),
+            ("proc/sys/kernel/osrelease", "6.1.0"),
+            ("boot/config-6.1.0", "CONFIG_RT_GROUP_SCHED=y"),
+        ];
+        const ROOT_GROUP: &[(&str, &str)] = &[("proc/self/cgroup", "0::/")];
+        let permitted = Denial::FifoInGroup { priority: 80 };
+        let not_permitted = Denial::Fifo { priority: 80, errno: 1 };
+        for files in [VERSION_1, VERSION_2] {
+            let found = findings(&Fake::new(files).tree(), &Realtime::default(), Err(permitted));
+            let mend = found[0].mend.as_ref().unwrap();
+            assert!(mend.contains("real-time group scheduling"), "{mend}");
+            for useless in ["setcap", "usermod", "rtprio", "cap-add"] {
+                assert!(!mend.contains(useless), "{mend}");
+            }
+            assert_eq!(found[0].fixes, []);
+            assert_eq!(found[1].fixes.len(), 1);
+            // Without the limit, both are needed, and the group comes first.
+            let found = findings(&Fake::new(files).tree(), &Realtime::default(), Err(not_permitted));
+            let mend = found[0].mend.as_ref().unwrap();
+            assert!(mend.starts_with("see first the row \"real-time group scheduling\""), "{mend}");
+            assert_eq!(found[0].fixes.len(), 1);
+            assert!(findings(&Fake::new(files).tree(), &Realtime::default(), Ok(()))[0].mend.is_none());
+        }
+        let found = findings(&Fake::new(ROOT_GROUP).tree(), &Realtime::default(), Err(not_permitted));
+        assert!(found[0].mend.as_ref().unwrap().starts_with(&not_permitted.to_string()));
     }
 
     #[test]

@@ -14,7 +14,7 @@ use servo::thread::{Denial, LateCycles, Realtime, Spike, Tracer, WaitReport};
 use servo::{Order, Phase, Servo};
 
 use super::bench::CellBench;
-use super::interval::{Counts, Interval, Ledger, counts, counts_of};
+use super::interval::{Interval, Latencies, Ledger};
 use super::probe::{LOOK, Turn};
 use super::report::percentiles;
 use mrroc::bench::clockwork;
@@ -47,9 +47,9 @@ pub(super) struct MeasuredCell<'a> {
     can: &'a [String],
     /// Whether additional frames load the buses.
     traffic: bool,
-    step: Counts,
-    bus: Counts,
-    wake_up: Counts,
+    step: Latencies,
+    bus: Latencies,
+    wake_up: Latencies,
     pub missed: u64,
     pub wait: WaitReport,
     /// Late cycles of all turns.
@@ -69,9 +69,9 @@ impl<'a> MeasuredCell<'a> {
             bench,
             can,
             traffic,
-            step: counts(),
-            bus: counts(),
-            wake_up: counts(),
+            step: Latencies::empty(),
+            bus: Latencies::empty(),
+            wake_up: Latencies::empty(),
             missed: 0,
             wait: WaitReport::default(),
             late: LateCycles::default(),
@@ -151,7 +151,7 @@ impl<'a> MeasuredCell<'a> {
         for (all, of_turn) in
             [(&mut self.step, &timing.step), (&mut self.bus, &timing.bus), (&mut self.wake_up, &timing.wake_up)]
         {
-            all.add(counts_of(of_turn))?;
+            all.add(&Latencies::of(of_turn));
         }
         self.missed += finished.servo.counters().missed_cycles;
         self.wait = timing.wait;
@@ -160,7 +160,7 @@ impl<'a> MeasuredCell<'a> {
         self.spikes.sort_by_key(|spike| std::cmp::Reverse(spike.lateness()));
         self.spikes.truncate(Tracer::KEPT);
         self.stood &= stood.into_iter().all(|stood| stood);
-        ledger.add(&Interval { begun, ended: now(), late: counts_of(&timing.sync) })?;
+        ledger.add(&Interval { begun, ended: now(), late: Latencies::of(&timing.sync) })?;
         Ok(finished.denied)
     }
 

@@ -44,7 +44,7 @@ pub(super) fn chart(setting: &str, ours: Curve, peer: Option<Curve>) -> Result<S
         let (upper, lower) = area.split_vertically(px(DISTRIBUTION));
         let mut upper = panel(&upper, "", &nines, &late)?;
         for ((_, curve), colour) in curves() {
-            line(&mut upper, colour, distribution(&curve.total))?;
+            line(&mut upper, colour, distribution(&curve.total.counts))?;
         }
         let mut lower = panel(&lower, "Worst of each interval", &time, &late)?;
         for ((_, curve), colour) in curves() {
@@ -100,7 +100,7 @@ mod tests {
         for _ in 0..2 {
             let svg = chart("1 ms", ("a & b", &ledger), None).unwrap();
             assert!(!svg.contains("NaN") && !svg.contains("inf") && svg.contains("a &amp; b"), "{svg}");
-            ledger.total.saturating_record(5);
+            ledger.total.record(5, 1);
         }
     }
 }

@@ -9,7 +9,7 @@ use can::clock::{now, sleep_until};
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 
-use super::interval::{Counts, Interval, counts};
+use super::interval::{Interval, Latencies};
 use super::load;
 use super::probe::Turn;
 
@@ -87,8 +87,8 @@ pub(super) fn measure(turn: Turn, priority: u8, cpu: Option<usize>) -> anyhow::R
 }
 
 /// Histogram of one thread in `text`: lines with bin, µs, and count, followed by totals after `#`.
-fn parse(text: &str) -> Option<Counts> {
-    let mut late = counts();
+fn parse(text: &str) -> Option<Latencies> {
+    let mut late = Latencies::empty();
     let total = |name: &str| -> Option<u64> {
         let line = text.lines().find_map(|line| line.strip_prefix(name))?;
         line.trim().parse().ok()
@@ -102,12 +102,12 @@ fn parse(text: &str) -> Option<Counts> {
         let (bin, count): (u64, u64) = (bin.parse().ok()?, count.trim().parse().ok()?);
         if count > 0 {
             // Recording a value zero times would still raise the maximum.
-            late.saturating_record_n(1000 * bin, count);
+            late.record(1000 * bin, count);
         }
         counted += count;
     }
     if overflows > 0 {
-        late.saturating_record_n(1000 * max, overflows);
+        late.record(1000 * max, overflows);
     }
     (counted == total("# Total:")?).then_some(late)
 }
@@ -126,8 +126,8 @@ mod tests {
     fn its_histogram_is_read_with_what_overflowed_as_the_maximum() {
         let late = parse(PRINTED).unwrap();
         assert_eq!(late.len(), 8);
-        assert_eq!(late.value_at_quantile(0.2) / 1000, 1);
-        assert_eq!(late.value_at_quantile(0.6) / 1000, 3);
+        assert_eq!(late.counts.value_at_quantile(0.2) / 1000, 1);
+        assert_eq!(late.counts.value_at_quantile(0.6) / 1000, 3);
         assert_eq!(late.max() / 10_000, 147);
     }
 
@@ -149,7 +149,7 @@ mod tests {
             ("# Total: 000000005\n", ""),
         ] {
             let text = PRINTED.replacen(good, bad, 1);
-            assert_eq!(parse(&text), None, "{bad}");
+            assert!(parse(&text).is_none(), "{bad}");
         }
     }
 }

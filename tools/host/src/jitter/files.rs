@@ -13,7 +13,7 @@ use can::Instant;
 use hdrhistogram::serialization::V2DeflateSerializer;
 use hdrhistogram::serialization::interval_log::{IntervalLogWriter, IntervalLogWriterBuilder, IntervalLogWriterError};
 
-use super::interval::{Counts, Interval};
+use super::interval::{Interval, Latencies};
 use mrroc::outputs::Outputs;
 
 /// Recorded unit, ns, per printed unit, µs.
@@ -48,7 +48,7 @@ impl Files {
     }
 
     /// Writes the results.
-    pub(super) fn write(mut self, ours: &Counts, peer: &Counts, chart: &str) -> anyhow::Result<()> {
+    pub(super) fn write(mut self, ours: &Latencies, peer: &Latencies, chart: &str) -> anyhow::Result<()> {
         let mut write = || {
             percentile_distribution(ours, &mut self.ours)?;
             if let Some(file) = &mut self.peer {
@@ -81,7 +81,7 @@ impl<'a> IntervalLog<'a> {
     /// Writes one interval. Times are relative to `began`.
     pub(super) fn write(&mut self, interval: &Interval, began: Instant) -> io::Result<()> {
         let (begun, lasted) = (interval.begun.since(began), interval.ended.since(interval.begun));
-        let written = self.0.write_histogram(&interval.late, begun, lasted, None);
+        let written = self.0.write_histogram(&interval.late.counts, begun, lasted, None);
         written.map_err(|error| match error {
             IntervalLogWriterError::IoError(error) => error,
             IntervalLogWriterError::SerializeError(error) => io::Error::other(error),
@@ -89,8 +89,9 @@ impl<'a> IntervalLog<'a> {
     }
 }
 
-/// Writes `counts` as a percentile distribution in the format of the HdrHistogram tools, in µs.
-fn percentile_distribution(counts: &Counts, to: &mut impl Write) -> io::Result<()> {
+/// Writes `late` as a percentile distribution in the format of the HdrHistogram tools, in µs.
+fn percentile_distribution(late: &Latencies, to: &mut impl Write) -> io::Result<()> {
+    let counts = &late.counts;
     let mut text = format!("{:>12} {:>14} {:>10} {:>14}\n\n", "Value", "Percentile", "TotalCount", "1/(1-Percentile)");
     let mut reached = 0;
     for step in counts.iter_quantiles(TICKS) {
@@ -109,7 +110,7 @@ fn percentile_distribution(counts: &Counts, to: &mut impl Write) -> io::Result<(
          #[Buckets = {:>12}, SubBuckets     = {:>12}]\n",
         counts.mean() / NANOS_PER_MICRO,
         counts.stdev() / NANOS_PER_MICRO,
-        counts.max() as f64 / NANOS_PER_MICRO,
+        late.max() as f64 / NANOS_PER_MICRO,
         counts.len(),
         counts.buckets(),
         // Each bucket after the first has only the upper half of the sub-buckets; the first bucket has both halves.
@@ -121,12 +122,11 @@ fn percentile_distribution(counts: &Counts, to: &mut impl Write) -> io::Result<(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::jitter::interval::counts;
 
     #[test]
     fn a_percentile_distribution_reads_as_the_tools_print_it() {
-        let mut recorded = counts();
-        (1..=1000).for_each(|micros| recorded.saturating_record(micros * 1000));
+        let mut recorded = Latencies::empty();
+        (1..=1000).for_each(|micros| recorded.record(micros * 1000, 1));
         let mut text = Vec::new();
         percentile_distribution(&recorded, &mut text).unwrap();
         let text = String::from_utf8(text).unwrap();
@@ -154,7 +154,7 @@ mod tests {
     #[test]
     fn nothing_measured_is_an_empty_distribution() {
         let mut text = Vec::new();
-        percentile_distribution(&counts(), &mut text).unwrap();
+        percentile_distribution(&Latencies::empty(), &mut text).unwrap();
         let text = String::from_utf8(text).unwrap();
         assert!(text.contains("Total count    =            0]") && !text.contains("NaN"), "{text}");
     }

@@ -23,7 +23,7 @@ const INTERVAL: Duration = Duration::from_secs(1);
 /// Number of histograms beside the one being filled; enough for some seconds.
 const SPARE: usize = 3;
 
-/// Largest recorded latency, ns. A larger latency is recorded as this value.
+/// Largest latency of a histogram, ns. A larger latency is counted as this value, and as one beyond it.
 const LATEST: u64 = 10_000_000_000;
 
 /// Capacity of a series. A full series is halved by joining neighbours.
@@ -34,25 +34,78 @@ pub(super) fn counts() -> Counts {
     Counts::new_with_bounds(1, LATEST, 3).expect("the bounds are constants that the library accepts")
 }
 
-/// Copy of the counts of `histogram`, which has the same bins.
-pub(super) fn counts_of(histogram: &servo::Histogram) -> Counts {
-    let mut counted = counts();
-    for (duration, count) in histogram.bins() {
-        counted.saturating_record_n(duration.as_nanos() as u64, count);
+/// Latencies in ns: a histogram up to 10 s, and what is beyond.
+#[derive(Clone)]
+pub(super) struct Latencies {
+    /// Latencies above 10 s count as 10 s.
+    pub counts: Counts,
+    /// Number of latencies above 10 s.
+    pub beyond: u64,
+    /// The longest latency above 10 s; 0 if there is none.
+    longest: u64,
+}
+
+impl Latencies {
+    pub(super) fn empty() -> Self {
+        Self { counts: counts(), beyond: 0, longest: 0 }
     }
-    counted
+
+    /// Copy of `histogram`, which has the same bins.
+    pub(super) fn of(histogram: &servo::Histogram) -> Self {
+        let mut counts = counts();
+        for (duration, count) in histogram.bins() {
+            counts.saturating_record_n(duration.as_nanos() as u64, count);
+        }
+        let beyond = histogram.beyond();
+        let longest = if beyond > 0 { u64::try_from(histogram.max().as_nanos()).unwrap_or(u64::MAX) } else { 0 };
+        Self { counts, beyond, longest }
+    }
+
+    /// Counts a latency `count` times.
+    pub(super) fn record(&mut self, nanos: u64, count: u64) {
+        self.counts.saturating_record_n(nanos.min(LATEST), count);
+        if nanos > LATEST {
+            self.beyond += count;
+            self.longest = self.longest.max(nanos);
+        }
+    }
+
+    pub(super) fn add(&mut self, other: &Self) {
+        self.counts.add(&other.counts).expect("all histograms have the same bounds");
+        self.beyond += other.beyond;
+        self.longest = self.longest.max(other.longest);
+    }
+
+    /// The true maximum, ns.
+    pub(super) fn max(&self) -> u64 {
+        self.counts.max().max(self.longest)
+    }
+
+    /// Number of latencies.
+    pub(super) fn len(&self) -> u64 {
+        self.counts.len()
+    }
+
+    pub(super) fn is_empty(&self) -> bool {
+        self.counts.is_empty()
+    }
+
+    fn reset(&mut self) {
+        self.counts.reset();
+        (self.beyond, self.longest) = (0, 0);
+    }
 }
 
 /// Latencies of a part of a measurement.
 pub(super) struct Interval {
     pub begun: Instant,
     pub ended: Instant,
-    pub late: Counts,
+    pub late: Latencies,
 }
 
 impl Interval {
     fn empty() -> Box<Self> {
-        Box::new(Self { begun: Instant::ZERO, ended: Instant::ZERO, late: counts() })
+        Box::new(Self { begun: Instant::ZERO, ended: Instant::ZERO, late: Latencies::empty() })
     }
 }
 
@@ -73,8 +126,7 @@ impl Recorder {
 
     /// Records the latency of one wake-up.
     pub(super) fn record(&mut self, late: Duration, now: Instant) {
-        let nanos = u64::try_from(late.as_nanos()).unwrap_or(LATEST);
-        self.filling.late.saturating_record(nanos.min(LATEST));
+        self.filling.late.record(u64::try_from(late.as_nanos()).unwrap_or(u64::MAX), 1);
         self.filling.ended = now;
         if now.since(self.filling.begun) >= INTERVAL {
             self.hand_over();
@@ -100,7 +152,7 @@ pub(super) struct Ledger<'a> {
     full: Consumer<Box<Interval>>,
     empty: Producer<Box<Interval>>,
     /// Latencies of the whole measurement.
-    pub total: Counts,
+    pub total: Latencies,
     pub series: Series,
     log: Option<IntervalLog<'a>>,
 }
@@ -113,7 +165,7 @@ pub(super) fn recording(began: Instant, log: Option<IntervalLog<'_>>) -> (Record
         let _ = emptied.push(Interval::empty());
     }
     let recorder = Recorder { filling: Interval::empty(), full, empty };
-    let ledger = Ledger { full: filled, empty: emptied, total: counts(), series: Series::new(began), log };
+    let ledger = Ledger { full: filled, empty: emptied, total: Latencies::empty(), series: Series::new(began), log };
     (recorder, ledger)
 }
 
@@ -133,7 +185,7 @@ impl Ledger<'_> {
         if interval.late.is_empty() {
             return Ok(());
         }
-        (self.total).add(&interval.late).expect("all histograms have the same bounds");
+        self.total.add(&interval.late);
         self.series.add(interval);
         match &mut self.log {
             Some(log) => log.write(interval, self.series.began),
@@ -190,7 +242,7 @@ mod tests {
         assert_eq!(ledger.total.len(), 2000);
         let spans: Vec<_> = (ledger.series.times.iter()).map(|[from, to, _]| (to - from).round() as u32).collect();
         assert_eq!(spans, [1, 1, 1, 17]);
-        assert!((ledger.total.value_at_quantile(0.5) as f64 / 50e3 - 1.0).abs() < 2e-3);
+        assert!((ledger.total.counts.value_at_quantile(0.5) as f64 / 50e3 - 1.0).abs() < 2e-3);
     }
 
     #[test]
@@ -200,7 +252,7 @@ mod tests {
         for second in 0..10 * TIMES as u64 {
             interval.late.reset();
             let late = if second == 777 { 5_000_000 } else { 1000 };
-            interval.late.saturating_record(late);
+            interval.late.record(late, 1);
             interval.begun = Instant::from_nanos(second * 1_000_000_000);
             interval.ended = Instant::from_nanos((second + 1) * 1_000_000_000);
             series.add(&interval);
@@ -211,16 +263,38 @@ mod tests {
     }
 
     #[test]
+    fn latencies_beyond_the_histogram_are_counted_with_their_true_maximum() {
+        let (mut recorder, mut ledger) = recording(Instant::ZERO, None);
+        let mut servos = servo::Histogram::default();
+        for late in [Duration::from_micros(5), Duration::from_secs(14), Duration::from_secs(12)] {
+            recorder.record(late, Instant::ZERO + late);
+            servos.record(late);
+        }
+        recorder.hand_over();
+        ledger.drain().unwrap();
+        for late in [&ledger.total, &Latencies::of(&servos)] {
+            assert_eq!((late.len(), late.beyond, late.max()), (3, 2, 14_000_000_000));
+        }
+        let worst = ledger.series.times.iter().map(|interval| interval[2]).fold(0.0, f64::max);
+        assert_eq!(worst, 14e6);
+        // An interval that is used again has nothing of the one before.
+        recorder.record(Duration::from_micros(5), Instant::ZERO + TICK);
+        recorder.hand_over();
+        ledger.drain().unwrap();
+        assert_eq!((ledger.total.len(), ledger.total.beyond), (4, 2));
+    }
+
+    #[test]
     fn counts_of_the_servo_are_the_same_counts() {
         let (mut ours, mut servos) = (counts(), servo::Histogram::default());
         for nanos in (0..3_000_000).step_by(977) {
             ours.saturating_record(nanos);
             servos.record(Duration::from_nanos(nanos));
         }
-        let copied = counts_of(&servos);
+        let copied = Latencies::of(&servos);
         for quantile in [0.5, 0.99, 0.999, 1.0] {
             let expected = ours.value_at_quantile(quantile);
-            assert_eq!(copied.value_at_quantile(quantile), expected);
+            assert_eq!(copied.counts.value_at_quantile(quantile), expected);
         }
         assert_eq!(copied.len(), ours.len());
     }

@@ -7,7 +7,7 @@ use serde::Serialize;
 use servo::thread::{LateCycles, Scheduler, Wait, WaitReport};
 
 use super::cell::CellReport;
-use super::interval::Counts;
+use super::interval::Latencies;
 use super::verdict::{self, Fit, Tail};
 use super::{Peer, load};
 use mrroc::report::{Percentiles, WaitCost, microseconds};
@@ -103,6 +103,8 @@ pub(super) struct Side {
     late: Percentiles,
     /// Number of wake-ups.
     cycles: u64,
+    /// Number of wake-ups that were late by more than 10 s. Percentiles take them for 10 s.
+    beyond_10_s: u64,
     /// Number of skipped deadlines; null for cyclictest, which does not report it.
     #[serde(skip_serializing_if = "Option::is_none")]
     missed: Option<u64>,
@@ -111,14 +113,15 @@ pub(super) struct Side {
 }
 
 impl Side {
-    pub(super) fn of(late: &Counts, missed: Option<u64>, cost: Option<WaitReport>) -> Self {
-        Self { late: percentiles(late), cycles: late.len(), missed, cost: cost.map(WaitCost::from) }
+    pub(super) fn of(late: &Latencies, missed: Option<u64>, cost: Option<WaitReport>) -> Self {
+        let (cycles, beyond_10_s) = (late.len(), late.beyond);
+        Self { late: percentiles(late), cycles, beyond_10_s, missed, cost: cost.map(WaitCost::from) }
     }
 }
 
-pub(super) fn percentiles(late: &Counts) -> Percentiles {
+pub(super) fn percentiles(late: &Latencies) -> Percentiles {
     let micros = |nanos: u64| nanos as f64 / 1e3;
-    let quantile = |share| micros(late.value_at_quantile(share));
+    let quantile = |share| micros(late.counts.value_at_quantile(share));
     Percentiles::of(quantile, micros(late.max()))
 }
 
@@ -177,7 +180,11 @@ impl fmt::Display for JitterReport {
         let mut side = |name: &str, side: &Side| {
             let missed = side.missed.map_or("-".to_owned(), |missed| missed.to_string());
             let late = columns(&side.late).map(|late| format!("{late:>10.3}")).join(" ");
-            writeln!(f, "{name:11} {late} {:>10} {missed:>8}", side.cycles)
+            write!(f, "{name:11} {late} {:>10} {missed:>8}", side.cycles)?;
+            match side.beyond_10_s {
+                0 => writeln!(f),
+                count => writeln!(f, "   {count} beyond 10 s, which the percentiles take for 10 s"),
+            }
         };
         side("ours", &self.ours)?;
         if let (Some(peer), Some(against)) = (&self.peer, self.setting.against) {
@@ -223,5 +230,60 @@ impl fmt::Display for JitterReport {
             writeln!(f, "denied: {denied}")?;
         }
         f.write_str(&self.verdict.replace("; ", "\n"))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::Duration;
+
+    use servo::thread::{Cause, LateCycle};
+
+    use super::*;
+
+    /// A measurement of `late`, s, all of them among the worst.
+    fn report(late: &[u64]) -> JitterReport {
+        let (mut latencies, mut worst) = (Latencies::empty(), LateCycles::default());
+        for (cycle, &seconds) in (0..).zip(late) {
+            let late = Duration::from_secs(seconds);
+            latencies.record(late.as_nanos() as u64, 1);
+            worst.record(LateCycle { cycle, due: Duration::from_secs(20 * cycle), late, cause: Cause::Host });
+        }
+        let setting = Setting {
+            period_us: 1000.0,
+            seconds: 1.0,
+            rounds: 1,
+            warm_up_s: 0.0,
+            scheduler: Scheduler::Fifo,
+            priority: 80,
+            cpu: None,
+            wait: Wait::Hybrid,
+            load: Vec::new(),
+            against: None,
+            cpu_latency_held: true,
+            stolen_ms: 0,
+            ended_early: false,
+            denied: Vec::new(),
+        };
+        JitterReport::of(setting, Side::of(&latencies, Some(0), None), None, &worst, None)
+    }
+
+    #[test]
+    fn the_table_and_the_worst_agree_beyond_the_bound_of_the_histogram() {
+        let report = report(&[1, 14, 11]);
+        let printed = report.to_string();
+        let row = printed.lines().find(|line| line.starts_with("ours")).unwrap();
+        let columns: Vec<_> = row.split_whitespace().collect();
+        assert_eq!(columns[4], "14000000.000", "{printed}");
+        assert!(row.ends_with("2 beyond 10 s, which the percentiles take for 10 s"), "{printed}");
+        assert!(printed.contains("the worst: 14000000 µs host"), "{printed}");
+        let json = serde_json::to_value(&report).unwrap();
+        assert_eq!(json["ours"]["beyond_10_s"], 2);
+        assert_eq!(json["ours"]["max"], 14e6);
+    }
+
+    #[test]
+    fn a_row_within_the_bound_has_no_note() {
+        assert!(!report(&[1, 2]).to_string().contains("beyond"));
     }
 }

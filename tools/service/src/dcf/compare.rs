@@ -40,7 +40,7 @@ struct Difference {
     /// Value of the drive.
     #[serde(skip_serializing_if = "Option::is_none")]
     found: Option<Shown>,
-    /// Why the drive gives no value.
+    /// Reason why the drive gives no value.
     #[serde(skip_serializing_if = "Option::is_none")]
     error: Option<String>,
 }

@@ -20,14 +20,14 @@ use serde::Serialize;
 use super::{Addressed, Reader, shown, value_type};
 use crate::{data_sheet, value, words};
 
-/// What was saved.
+/// Report of the saved values.
 #[derive(Serialize)]
 struct Report {
     node: u8,
     file: String,
     /// Number of values.
     values: usize,
-    /// How many of them are notes, which no download writes.
+    /// Number of values that are notes, which no download writes.
     notes: usize,
     /// Objects without a value in the file, with the reason.
     absent: Vec<Absent>,
@@ -144,7 +144,7 @@ fn parameter(variable: &Variable, data: &[u8], node: NodeId) -> Result<Parameter
     Ok(Parameter { value: ParameterValue::Value(value), line: 0 })
 }
 
-/// The objects that this program knows by name, of those that the drive has. Their types follow from the lengths of their
+/// The objects of the drive that this program knows by name. The types of the objects follow from the lengths of their
 /// values.
 fn of_names(reader: &mut Reader) -> anyhow::Result<(Eds, Vec<Absent>)> {
     let mut dcf = Eds::default();

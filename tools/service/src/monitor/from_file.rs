@@ -18,7 +18,7 @@ use mrroc::cell::CellFile;
 /// Longest line that is read, bytes: a CAN XL frame with 2048 bytes of data, and its head.
 const LONGEST: usize = 8192;
 
-/// Shows the frames of `path`, or of standard input, and then counts lines that are no frame.
+/// Shows the frames of `path` or of standard input, and then the number of lines that are no frame.
 pub(super) fn show(path: &Path, options: &Options) -> anyhow::Result<ExitCode> {
     let named = || if path == Path::new("-") { "standard input".to_owned() } else { path.display().to_string() };
     let cell = options.bus.cell.as_ref().map(CellFile::read).transpose()?;
@@ -49,11 +49,11 @@ pub(super) fn show(path: &Path, options: &Options) -> anyhow::Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// What is known of a log so far.
+/// State of a log up to the present line.
 #[derive(Default)]
 struct Log {
     cell: Option<CellFile>,
-    /// Index of the bus of frames of interfaces that the cell does not have.
+    /// Index of the bus for frames of interfaces that the cell does not have.
     chosen: Option<usize>,
     /// One bus for each interface of the log.
     buses: BTreeMap<String, LogBus>,
@@ -66,7 +66,7 @@ struct Log {
     errors: u64,
     /// Frames that candump did not see.
     dropped: u64,
-    /// Lines that are no frame, by their text of the error.
+    /// Lines that are no frame, by the text of their error.
     skipped: BTreeMap<String, Skipped>,
 }
 
@@ -75,7 +75,7 @@ struct LogBus {
     decoder: Decoder,
     /// Index of the bus in the cell.
     cell: Option<usize>,
-    /// Whether frames were lost since the last one.
+    /// Whether frames were lost since the last frame of the log.
     lost: bool,
 }
 
@@ -152,7 +152,8 @@ impl Log {
 
     fn line(&mut self, at: Instant, interface: &str, frame: String, described: Described) -> MonitorLine {
         let began = *self.began.get_or_insert(at);
-        // A log can have times before that of its first line: logs of several buses, and a clock that was set.
+        // A log can have times before the time of its first line, for example if it joins logs of several buses, or if
+        // the clock was set.
         let at_s = at.since(began).as_secs_f64() - began.since(at).as_secs_f64();
         MonitorLine { at_s, interface: Some(interface.to_owned()), frame, described }
     }
@@ -172,7 +173,7 @@ impl Log {
         self.cell.as_ref().zip(bus)
     }
 
-    /// Lines that say what the log has.
+    /// Lines with the numbers of frames and of skipped lines.
     fn counts(&self) -> Vec<String> {
         let Self { frames, newer, errors, dropped, .. } = self;
         let mut counts = vec![format!("{frames} frames in {} lines", self.line)];

@@ -117,6 +117,38 @@ fn every_node_is_found_once_though_some_answer_everything_once_they_are_found() 
     }
 }
 
+/// A drive without a node-ID that answers LSS requests after `delay`.
+fn slow_drive(delay: Duration) -> Stage {
+    let mut stage = Stage::with(&[3]);
+    let config = Epos4Config::new(node(9), AxisConfig::irp6(Irp6Axis::ALL[0]));
+    let config = Epos4Config { node: None, lss_delay: delay, power_on: stage.now, ..config };
+    stage.world.add_device(stage.bus, Box::new(Epos4::new(config)));
+    stage.pass(Duration::from_secs(1));
+    stage
+}
+
+#[test]
+fn an_answer_after_the_end_of_a_scan_is_noticed_with_its_delay() {
+    let delay = Duration::from_millis(52);
+    for (wait, finds) in [(20, false), (60, true)] {
+        let mut stage = slow_drive(delay);
+        let mut dialogue = Dialogue::scan(Duration::from_millis(wait));
+        stage.hold(&mut dialogue);
+        let late = dialogue.late();
+        let (found, failed) = dialogue.found();
+        assert_eq!((found.len(), failed), (usize::from(finds), None), "{wait} ms");
+        assert_eq!(late.is_some(), !finds, "{wait} ms: {late:?}");
+        if let Some(late) = late {
+            assert!(late >= delay && late < delay + Duration::from_millis(3), "{late:?}");
+        }
+    }
+    // Without a slow node, nothing is late.
+    let mut stage = slow_drive(Duration::ZERO);
+    let mut dialogue = Dialogue::scan(Duration::from_millis(20));
+    stage.hold(&mut dialogue);
+    assert_eq!(dialogue.late(), None);
+}
+
 #[test]
 fn a_slave_that_answers_everything_in_either_mode_is_no_find_and_fails_the_scan() {
     use Oddity::{AnswersAlways, None};

@@ -170,7 +170,7 @@ fn scara() -> ChainParameters {
     chain(joints, on(0.02, 0.01, 0.05))
 }
 
-/// Three linear axes, and as many wrist axes as asked for, up to three.
+/// Three linear axes, and `wrist` revolute axes, up to three.
 fn cartesian(wrist: usize) -> ChainParameters {
     let on = Isometry3::translation;
     let mut joints = vec![

@@ -1,4 +1,4 @@
-//! Refusals of descriptions, and what a description looks like as text.
+//! Refusals of descriptions, and the text of a description.
 
 use super::super::*;
 use super::arms;

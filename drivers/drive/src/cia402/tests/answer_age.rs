@@ -30,6 +30,7 @@ fn late(bench: &Bench) -> Vec<(u8, u32, Duration)> {
         | WarningCause::Reported
         | WarningCause::Limited
         | WarningCause::SoftwareLimits { .. }
+        | WarningCause::NoErrorBehaviour
         | WarningCause::Compared { .. } => None,
     };
     let warnings = bench.group.warnings().iter();

@@ -178,6 +178,7 @@ impl Store {
             put(index, 0, &[1]);
             (1..=3).for_each(|subindex| _ = put(index, subindex, &[0; 4]));
         }
+        put(0x1029, 1, &[0]);
         put(0x3001, 1, &[0; 4]);
         put(0x30B0, 0, &[9, 0, 0, 0]);
         put(0x30B1, 0, &[9, 0, 0, 0]);

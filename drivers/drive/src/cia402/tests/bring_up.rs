@@ -89,9 +89,10 @@ fn an_epos4_is_asked_and_told_this_frame_by_frame() {
             expected.extend(["C56000", "C66000"].map(|object| format!("602#40{object}00000000")));
         }
         if told.starts_with("602#239A60") {
-            // This store lacks the reaction to a lost connection and the offsets. An EPOS4 lacks the home offset.
+            // Objects after the reaction to a lost connection, which this store lacks. An EPOS4 lacks the home offset.
             for lacking in [
                 "2F29100100000000",
+                "4029100100000000",
                 "2B5B600001000000",
                 "2B5C600001000000",
                 "2B5D600001000000",
@@ -250,6 +251,12 @@ fn a_mode_that_is_not_supported_is_named() {
     let error = BringUpError::ModeUnsupported { node: 2, mode: 8, supported: 0x325 };
     let told = "node 2: mode 8 (cyclic synchronous position) is not supported (0x6502 is 0x00000325)";
     assert_eq!(error.to_string(), told);
+}
+
+#[test]
+fn a_drive_that_sends_no_heartbeat_is_not_said_to_be_in_another_state() {
+    let error = BringUpError::NotOperational { node: 2, waited: Duration::from_millis(1500) };
+    assert_eq!(error.to_string(), "node 2: no heartbeat showed the state operational, waited 1.5s");
 }
 
 #[test]

@@ -103,7 +103,7 @@ fn a_default_is_written_where_the_drive_holds_another_value() {
         assert_eq!(position(&bench, "602#2F0121").is_some(), written);
         assert!(position(&bench, "602#400121") < Some(usize::MAX));
     }
-    // What cannot be read is written, and the write decides.
+    // A value that cannot be read is written, and the write decides.
     let mut absent = bench(vec![default(7)]);
     absent.stores[0].objects.remove(&(0x2101, 0));
     let (object, code) = (Object::new(0x2101, 0), 0x0602_0000);
@@ -120,7 +120,7 @@ fn a_value_that_can_only_be_read_is_compared_and_never_written() {
     let first = Object::new(0x2101, 0);
     assert_eq!(warnings(&differs), [WarningCause::Compared { values: 3, different: 2, first }]);
     assert_eq!(position(&differs, "602#2F0121"), None);
-    // Anew at each bring-up.
+    // The comparison is repeated at each bring-up.
     assert_eq!(differs.bring_up(), Ok(()));
     assert_eq!(warnings(&differs), [WarningCause::Compared { values: 3, different: 2, first }]);
     let mut agrees = bench(vec![compare(0x2101, &[0])]);

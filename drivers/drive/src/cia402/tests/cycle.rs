@@ -252,6 +252,20 @@ fn frames_of_nobody_here_are_counted() {
 }
 
 #[test]
+fn answers_behind_more_foreign_frames_than_a_cycle_has_of_its_own_are_read_in_their_cycle() {
+    let config = GroupConfig { period: Duration::from_millis(10), ..group_config() };
+    let mut bench = Bench::up_with(config, &[axis_config(2)]);
+    bench.enable();
+    for position in 0..20 {
+        let mut frames = vec!["17F#5555555555555555".to_owned(); 80];
+        frames.extend(bench.answers(0x0737, position));
+        bench.cycle(&frames, &[AxisCommand::Stand]);
+        assert_eq!(bench.states[0].increments.0, position);
+        assert_eq!((bench.states[0].age, bench.states[0].fault), (0, None));
+    }
+}
+
+#[test]
 fn traffic_lists_every_frame_of_a_cycle() {
     let config = group_config();
     let axes = [axis_config(1), AxisConfig { mode: CyclicMode::Cst, ..axis_config(2) }];

@@ -1,7 +1,7 @@
 //! Drives without some of the objects that the monitoring of the mode of operation needs.
 
 use super::bench::*;
-use crate::Power;
+use crate::{Power, WarningCause};
 use canopen::Object;
 
 const NOT_MAPPABLE: u32 = 0x0604_0041;
@@ -64,4 +64,14 @@ fn a_drive_that_does_not_list_its_modes_is_brought_up() {
     let error = bench.bring_up().unwrap_err();
     let shown = Object::new(0x6061, 0);
     assert!(matches!(error, BringUpError::ReadBack { node: 2, object, written: 8, found: 1 } if object == shown));
+}
+
+#[test]
+fn a_drive_that_cannot_be_told_how_to_lose_its_host_is_named() {
+    let causes = |bench: &Bench| bench.group.warnings().iter().map(|it| (it.node, it.cause)).collect::<Vec<_>>();
+    assert_eq!(causes(&enabled(|_| {})), []);
+    let bench = enabled(|store| _ = store.objects.remove(&(0x1029, 1)));
+    assert_eq!(causes(&bench), [(2, WarningCause::NoErrorBehaviour)]);
+    let said = bench.group.warnings().iter().next().unwrap().to_string();
+    assert!(said.starts_with("node 2: no object 0x1029:01, "), "{said}");
 }
