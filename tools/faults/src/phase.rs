@@ -118,6 +118,11 @@ impl Course {
         Self { cruise: cruise + step * steps, ..Self::USUAL }
     }
 
+    /// Time by which the motion takes longer than the usual motion at constant speed.
+    pub(super) fn longer(&self) -> Duration {
+        self.cruise.saturating_sub(Self::USUAL.cruise)
+    }
+
     pub(super) fn of(file: &CellFile, at_top_speed: bool) -> Self {
         if at_top_speed { Self::fast(file) } else { Self::usual(file) }
     }

@@ -356,7 +356,8 @@ impl<'a> Stage<'a> {
         let places = |stage: &Self| -> Vec<_> { (0..stage.links.len()).map(|robot| stage.truth(robot)).collect() };
         let (mut anchor, mut still_since) = (places(self), began);
         let mut was_moving = self.phase(0) == Phase::Moving || self.phase(0) == Phase::Homing;
-        while self.now.since(began) < case.observed_for {
+        let observed_for = case.observed_for + self.course.longer();
+        while self.now.since(began) < observed_for {
             // A long observation ends after the stop, when all axes have been at rest: a loop may close its last error
             // slowly.
             let rested = self.now.since(still_since) >= REST;
