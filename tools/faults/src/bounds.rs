@@ -123,11 +123,11 @@ impl FaultCase {
     /// takes with the deceleration of its limit. Twice the following error is added, for the distances between motor and
     /// set-point at the strike and at the end.
     ///
-    /// The following error itself limits the distance of the struck motor until it finds a fault. The other motors follow
-    /// their set-points until the detection. The time of such a detection is four times the time at constant speed to the
-    /// limit of the error, and to the obstacle of a collision. A motor that a sagging supply slows has five times this time,
-    /// because it may keep four fifths of its speed. In homing, it moves on for this time, less the following error by which
-    /// it is then late.
+    /// The following error itself limits the distance of the struck motor until it finds a fault. In a motion, the other
+    /// motors follow their set-points until the detection. The time of such a detection is four times the time at constant
+    /// speed to the limit of the error, and to the obstacle of a collision. A motor that a sagging supply slows has five
+    /// times this time, because it may keep four fifths of its speed. In homing, it moves on for this time, less the
+    /// following error by which it is then late.
     pub(super) fn bounds(
         &self,
         file: &CellFile,
@@ -170,7 +170,8 @@ impl FaultCase {
             Within::Contact => both(contact_delay(cell.period())),
             Within::Macrostep => both(cell.period() * (u32::from(STEPS) + 4)),
         };
-        let is_of_error = matches!(self.within, Within::Error | Within::Lost | Within::Slowed);
+        // At rest and in homing, the other motors stand.
+        let is_of_error = phase.moves() && matches!(self.within, Within::Error | Within::Lost | Within::Slowed);
         let follows = detected.unwrap_or_default().min(detection).max(blind);
         let [blind, follows] = [blind, follows].map(|time| (time + 4 * cell.period()).as_secs_f64());
         let times = robot.axis.iter().zip(velocity).map(|(axis, speed)| speed.abs() / axis.max_acceleration);
