@@ -124,6 +124,8 @@ pub(crate) struct Amplifier {
     voltage_integral: f64,
     /// Fixed output voltage in place of the current loop, V.
     fixed: Option<f64>,
+    /// Whether the power stage was on in the previous sub-step.
+    on: bool,
     /// Torque added to the output of the velocity loop, N·m.
     pub(crate) torque_offset: f64,
 }
@@ -146,6 +148,7 @@ impl Amplifier {
             current: 0.0,
             voltage_integral: 0.0,
             fixed: None,
+            on: false,
             torque_offset: 0.0,
         }
     }
@@ -175,6 +178,7 @@ impl Amplifier {
         self.current = 0.0;
         self.voltage_integral = 0.0;
         self.fixed = None;
+        self.on = false;
     }
 
     /// Applies a demand on the current loop itself, which continues from the last output voltage.
@@ -261,9 +265,16 @@ impl Amplifier {
     }
 
     /// One step of the current loop: the voltage for a measured current.
+    ///
+    /// A motor may turn when its drive is switched on, for example under a load that falls. The loop then starts from the
+    /// back-EMF at the observed velocity. Without this start, the back-EMF alone would drive a current that trips the drive.
     pub(crate) fn voltage(&mut self, measured: f64) -> f64 {
+        let was_on = std::mem::replace(&mut self.on, true);
         if let Some(voltage) = self.fixed {
             return voltage;
+        }
+        if !was_on {
+            self.voltage_integral = self.torque_constant * self.observed_velocity * self.radians_per_count;
         }
         let error = self.current - measured;
         let wanted = self.gains.current * error + self.voltage_integral;

@@ -6,7 +6,8 @@
 //! end stops and temperature. [`AxisConfig::irp6`] and its neighbours hold the parameters of the lab's robots. A
 //! motor without a mechanism carries a constant inertia and a weight that depends on its own angle. The axes of one
 //! robot are mounted on a [`Mechanism`], which couples their dynamics and carries payloads. A robot from a description is
-//! a chain of [`ChainBodies`], and [`AxisConfig::nominal`] chooses motors for it.
+//! a chain of [`ChainBodies`], a robot in code is a linkage of [`LinkageBodies`], and [`AxisConfig::nominal`] chooses motors
+//! for it.
 //!
 //! All quantities are in SI units at the motor shaft. A run is a function of configuration, seed and demands. One
 //! build reproduces a run bit for bit. Left out: elastic gears, backlash, coupling forces beyond those of a
@@ -30,7 +31,10 @@ pub use axis::{AngleProbe, AxisConfig, Demand, Feedback, PlantAxis, PlantConfig,
 pub use faults::PlantFault;
 pub use friction::FrictionConfig;
 pub use irp6::Irp6Axis;
-pub use mechanism::{ChainBodies, ChainBodyJoint, ChainError, Load, Mechanism, MechanismConfig, Mount};
+pub use mechanism::{
+    ChainBodies, ChainBodyJoint, ChainError, LinkBody, LinkPoses, LinkageBodies, LinkageError, Load, Mechanism,
+    MechanismConfig, Mount,
+};
 pub(crate) use mechanism::{Kinematics, Shafts};
 pub use motor::{EndStops, Gravity, MotorConfig};
 pub use noise::Noise;

@@ -1,11 +1,12 @@
-//! Motors of a chain with coupled dynamics advance without allocations.
+//! Motors of chains and linkages with coupled dynamics advance without allocations.
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 use std::sync::Arc;
 
-use mrroc_hil::plant::{ChainBodies, ChainBodyJoint};
+use mrroc_hil::plant::{ChainBodies, ChainBodyJoint, LinkBody, LinkPoses, LinkageBodies};
 use mrroc_hil::{AxisConfig, Demand, Mechanism, MechanismConfig, PlantAxis};
+use nalgebra::{Isometry3, Vector3};
 
 /// Counts the requests of this thread to the system allocator.
 struct Counting;
@@ -53,13 +54,41 @@ fn chains_advance_without_allocations() {
         (0..8).map(|row| (0..8).map(|column| if row == column { 0.02 } else { 0.0 }).collect()).collect();
     let flange = ([0.0; 3], [1.0, 0.0, 0.0, 0.0]);
     let bodies = ChainBodies::new(&joints, flange, [0.0, 0.0, 1.0], &rows, &[1e-4; 8]).unwrap();
-    let mechanism = Mechanism::new(MechanismConfig::Chain(Arc::new(bodies)));
+    advances_without_allocations(&Mechanism::new(MechanismConfig::Chain(Arc::new(bodies))), 200);
+}
+
+/// Rods one behind the other, which turn about z and y by turns.
+#[derive(Debug)]
+struct Rods;
+
+impl LinkPoses for Rods {
+    fn place(&self, motors: &[f64], poses: &mut [Isometry3<f64>]) -> bool {
+        let mut place = Isometry3::identity();
+        for (number, (pose, motor)) in poses.iter_mut().zip(motors).enumerate() {
+            let axis = if number % 2 == 0 { Vector3::z() } else { Vector3::y() };
+            place *= Isometry3::rotation(axis * (0.02 * motor));
+            *pose = place;
+            place *= Isometry3::translation(0.2, 0.0, 0.0);
+        }
+        poses[motors.len()] = place;
+        true
+    }
+}
+
+#[test]
+fn linkages_advance_without_allocations() {
+    let links = [LinkBody::rod(2.0, 0.2); 8];
+    let bodies = LinkageBodies::new(Arc::new(Rods), &links, [0.0, 0.0, 1.0], &[50.0; 8], &[1e-4; 8]).unwrap();
+    advances_without_allocations(&Mechanism::new(MechanismConfig::Linkage(Arc::new(bodies))), 60);
+}
+
+fn advances_without_allocations(mechanism: &Mechanism, periods: u32) {
     let config = AxisConfig { start_angle: 0.0, ..AxisConfig::polycrank(0).unwrap() };
     let mut axes: Vec<PlantAxis> = (0..8)
         .map(|number| PlantAxis::mounted(&config, number as u64, mechanism.mount(number, 0.0).as_ref()))
         .collect();
     let before = CALLS.with(Cell::get);
-    for period in 0..200 {
+    for period in 0..periods {
         for axis in &mut axes {
             axis.advance(20, Demand::Velocity(2000.0));
         }

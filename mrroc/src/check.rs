@@ -133,7 +133,9 @@ fn assemble(file: &CellFile, program: &Program, rehearsed: &Rehearsed) -> anyhow
 fn chain(numbers: &Parameters) -> Vec<String> {
     let given = match numbers {
         Parameters::Chain(given) => given,
-        Parameters::Own(_) => return vec!["each emulated axis moves a load of its own, without weight".to_owned()],
+        Parameters::Own(_) if numbers.mechanism().is_none() => {
+            return vec!["each emulated axis moves a load of its own, without weight".to_owned()];
+        }
         _ => return Vec::new(),
     };
     let form = Chain::new(given).expect("a parsed chain is sound").closed_form();

@@ -28,7 +28,7 @@ use crate::cell::Plant;
 pub use examination::examine;
 use own::OwnModel;
 pub(crate) use own::check as check_own;
-pub use own::{EmulatedJoint, Keys, OwnParameters, OwnRobot, register};
+pub use own::{EmulatedJoint, EmulatedLink, Keys, OwnParameters, OwnRobot, register};
 
 /// Evaluates an expression on the numbers of a robot, whichever robot: `each_robot!(parameters, it => it.masses())`.
 #[macro_export]
@@ -198,7 +198,8 @@ impl Parameters {
                 at_home: given.axes.map(|axis| axis.joint_at_home),
             },
             Self::Chain(given) => return chain::mechanism(given).expect("a parsed chain has sound bodies"),
-            Self::Gripper(_) | Self::Conveyor(_) | Self::Own(_) => return None,
+            Self::Own(given) => return given.mechanism().expect("a parsed robot has sound links"),
+            Self::Gripper(_) | Self::Conveyor(_) => return None,
         })
     }
 

@@ -124,8 +124,7 @@ impl ServoAxis {
         let set = step.is_some() && state.increments != self.state.increments;
         let braked = state.power == Power::On && (state.following || state.homing == Homing::InProgress);
         if set || !braked {
-            self.progress.forget();
-            self.oscillation.forget();
+            self.forget_course();
         }
         if let Some(step) = step
             && led
@@ -315,6 +314,8 @@ impl ServoAxis {
     pub(crate) fn capture(&mut self) {
         self.knot = Knot::at_rest(self.state.position);
         self.commanded = [self.state.position; REMEMBERED];
+        // The step of the following error is no motion of the set-points.
+        self.change = Change::default();
         if self.is_far_from_rest() {
             self.forget_load();
         }
@@ -348,6 +349,9 @@ impl ServoAxis {
         self.commanded = std::array::from_fn(|age| self.state.position + velocity * dt * (shown as f64 - age as f64));
         self.knot = Knot::new(self.commanded[0], velocity);
         host.follow(self.commanded, velocity);
+        // The step of the following error is no motion of the set-points.
+        self.change = Change::default();
+        self.oscillation.forget();
     }
 
     pub(crate) fn is_host_closed(&self) -> bool {
@@ -395,6 +399,13 @@ impl ServoAxis {
 
     /// The last set-points were repeated, because a bus refused some: the drive may have stopped the motor at once.
     pub(crate) fn was_refused(&mut self) {
+        self.progress.forget();
+        self.oscillation.forget();
+    }
+
+    /// Forgets the last samples of the position and of the following error. The motor was not led, or the counter was set.
+    fn forget_course(&mut self) {
+        self.change = Change::default();
         self.progress.forget();
         self.oscillation.forget();
     }

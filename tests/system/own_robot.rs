@@ -2,6 +2,8 @@
 
 use std::fmt::Write as _;
 
+use ::faults::{FaultOptions, fault_table};
+use ::mrroc::cell::CellFile;
 use kit::mrroc::{Directory, Output, example, mrroc};
 use kit::refusals::refused;
 
@@ -189,4 +191,30 @@ fn a_check_says_how_the_arm_is_solved_and_what_its_emulation_lacks() {
     let redundant = said("redundant", REDUNDANT, true);
     assert!(redundant.contains("inverse kinematics by a numerical search"), "{redundant}");
     assert!(!redundant.contains("mass"), "{redundant}");
+}
+
+/// Rows of the fault table of a robot of one's own whose drives, weight and speeds differ from those of the built-in robots.
+#[test]
+fn faults_of_a_heavy_and_slow_arm_end_within_their_bounds() {
+    let file = CellFile::read(example("puma560")).unwrap();
+    let faults = [
+        "supply sags",
+        "brake does not hold",
+        "collision",
+        "encoder jumps by the smallest step, at top speed",
+        "encoder jumps by 1.5 smallest steps, at top speed",
+        "encoder jumps by ten smallest steps, at top speed",
+    ];
+    let fault = faults.map(str::to_owned).to_vec();
+    let table = fault_table(&file, &FaultOptions { fault, ..FaultOptions::default() }).unwrap();
+    assert!(table.played() >= 17, "{table}");
+    let red: Vec<_> = table.red().map(|row| (row.fault, row.phase.name(), &row.reasons)).collect();
+    assert!(red.is_empty(), "{red:?}");
+    // An arm that falls is held by its motors, and a fault that a motion shows is found.
+    let results = table.rows.iter().filter_map(|row| Some((row.fault, row.result.as_ref()?)));
+    let results: Vec<_> = results.filter(|(_, result)| result.detection.is_some()).collect();
+    let count = |fault: &str| results.iter().filter(|(of, _)| *of == fault).count();
+    let held = results.iter().filter(|(of, result)| *of == "brake does not hold" && result.recovery == "stop");
+    assert!(held.count() >= 5, "{table}");
+    assert!(count("supply sags") >= 3 && count("collision") >= 3, "{table}");
 }

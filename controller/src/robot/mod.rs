@@ -83,6 +83,9 @@ pub use weight::{Mass, Weight, WeightError};
 /// are in the base frame.
 pub type Jacobian = SMatrix<f64, 6, MAX_AXES>;
 
+/// Half of the interval of a difference of poses, rad or m of a joint.
+const DIFFERENCE: f64 = 1e-5;
+
 /// The numbers of one robot.
 pub trait RobotParameters: Clone {
     /// Number of axes of the robot.
@@ -158,8 +161,24 @@ pub trait Robot: fmt::Debug + Send + Sync {
     /// checked, so that measured positions can be converted.
     fn joints_from_motors(&self, motors: &Motors) -> Result<Joints, KinematicsError>;
 
-    /// The Jacobian at these joints.
-    fn jacobian(&self, joints: &Joints) -> Result<Jacobian, KinematicsError>;
+    /// The Jacobian at these joints. By default from differences of [`Robot::forward`], with an error of about 1e-9 for links
+    /// of 1 m. The neighbouring poses must then exist as well.
+    fn jacobian(&self, joints: &Joints) -> Result<Jacobian, KinematicsError> {
+        let mut jacobian = Jacobian::zeros();
+        for axis in 0..self.axes() {
+            let moved = |by: f64| {
+                let mut moved = *joints;
+                moved[axis] += by;
+                self.forward(&moved)
+            };
+            let (low, high) = (moved(-DIFFERENCE)?, moved(DIFFERENCE)?);
+            let velocity = (high.translation.vector - low.translation.vector) / (2.0 * DIFFERENCE);
+            let spin = (high.rotation * low.rotation.inverse()).scaled_axis() / (2.0 * DIFFERENCE);
+            jacobian.fixed_view_mut::<3, 1>(0, axis).copy_from(&velocity);
+            jacobian.fixed_view_mut::<3, 1>(3, axis).copy_from(&spin);
+        }
+        Ok(jacobian)
+    }
 
     /// Distance of these joints from a singularity.
     fn singularity(&self, joints: &Joints) -> Result<Singularity, KinematicsError> {

@@ -1,12 +1,11 @@
-//! A program with every command of `mrroc` for a five-bar robot, which is no serial chain of joints. Two motors stand
-//! side by side on the x axis, and each turns a link. Two further links join the ends of these links at the flange,
-//! which moves in the plane and keeps its orientation. All numbers are nominal.
+//! A program with every command of `mrroc` for a five-bar robot: two motors on the x axis turn a link each. Two further
+//! links join their ends at the flange, which moves in the plane and keeps its orientation. All numbers are nominal.
 
-use std::{process::ExitCode, sync::Arc};
+use std::{f64::consts::PI, process::ExitCode, sync::Arc};
 
 use mrroc::Extension;
 use mrroc::robots::{
-    EmulatedJoint, Jacobian, Joints, KinematicsError, Limits, Motors, OwnRobot, ParameterError, Pose, Robot,
+    EmulatedJoint, EmulatedLink, Joints, KinematicsError, Limits, Motors, OwnRobot, ParameterError, Pose, Robot,
     RobotParameters, Solutions, Space,
 };
 use schemars::JsonSchema;
@@ -14,8 +13,7 @@ use serde::{Deserialize, Serialize};
 
 /// Motor angle per joint angle.
 const RATIO: f64 = 50.0;
-/// Angles of the driven links to the x axis at home, ranges of the links, and ranges of the motors, which are at zero
-/// at home; rad.
+/// Angles of the driven links to the x axis at home, their ranges, and ranges of the motors from home, rad.
 const HOME: [f64; 2] = [2.1, 1.04];
 const JOINTS: [Limits; 2] = [Limits { low: 1.2, high: 3.1 }, Limits { low: 0.04, high: 1.94 }];
 const MOTORS: [Limits; 2] = [Limits { low: -45.0, high: 50.0 }, Limits { low: -50.0, high: 45.0 }];
@@ -58,22 +56,40 @@ impl OwnRobot for FiveBar {
     fn joint(&self, _axis: usize) -> EmulatedJoint {
         EmulatedJoint { ratio: RATIO, inertia: 0.05, velocity: 4.0, effort: 8.0 }
     }
+
+    /// Rods of 2 kg/m: the driven links, then the links that join at the flange.
+    fn emulated_links(&self) -> Vec<EmulatedLink> {
+        [self.proximal, self.proximal, self.distal, self.distal].map(|it| EmulatedLink::rod(2.0 * it, it)).into()
+    }
+
+    /// By the angles of the triangle of elbows and flange. The emulator does not use the kinematics of the controller.
+    fn place_links(&self, motors: &[f64], poses: &mut [Pose]) -> bool {
+        let turn = |angle: f64| Pose::rotation([0.0, 0.0, angle].into());
+        for (side, stand) in [(0, -0.5), (1, 0.5)] {
+            poses[side] = Pose::translation(stand * self.base, 0.0, 0.0) * turn(HOME[side] + motors[side] / RATIO);
+            poses[2 + side] = poses[side] * Pose::translation(self.proximal, 0.0, 0.0);
+        }
+        let elbows = [2, 3].map(|link: usize| poses[link].translation);
+        let between = elbows[1].vector - elbows[0].vector;
+        let (along, corner) = (between.y.atan2(between.x), (0.5 * between.norm() / self.distal).acos());
+        (poses[2], poses[3]) = (elbows[0] * turn(along + corner), elbows[1] * turn(along + PI - corner));
+        poses[4] = (poses[2] * Pose::translation(self.distal, 0.0, 0.0)).translation.into();
+        corner.is_finite()
+    }
 }
 
 impl FiveBar {
-    /// The flange, and its position relative to each elbow, m.
-    fn place(&self, joints: &[f64; 2]) -> Result<([f64; 2], [[f64; 2]; 2]), KinematicsError> {
+    /// The flange, m.
+    fn place(&self, joints: &[f64; 2]) -> Result<[f64; 2], KinematicsError> {
         let elbow = |i: usize, stand: f64| [stand + self.proximal * joints[i].cos(), self.proximal * joints[i].sin()];
-        let elbows = [elbow(0, -0.5 * self.base), elbow(1, 0.5 * self.base)];
-        let between = [elbows[1][0] - elbows[0][0], elbows[1][1] - elbows[0][1]];
-        let half = 0.5 * between[0].hypot(between[1]);
-        if half >= self.distal || half == 0.0 {
+        let ([x, y], right) = (elbow(0, -0.5 * self.base), elbow(1, 0.5 * self.base));
+        let between = [0.5 * (right[0] - x), 0.5 * (right[1] - y)];
+        let half = between[0].hypot(between[1]);
+        if !(half < self.distal && half > 0.0) {
             return Err(KinematicsError::Open { leg: 1, residual: 2.0 * (half - self.distal) });
         }
-        let height = (self.distal * self.distal - half * half).sqrt() / (2.0 * half);
-        let from_left = [0.5 * between[0] - height * between[1], 0.5 * between[1] + height * between[0]];
-        let from_right = [from_left[0] - between[0], from_left[1] - between[1]];
-        Ok(([elbows[0][0] + from_left[0], elbows[0][1] + from_left[1]], [from_left, from_right]))
+        let height = (self.distal * self.distal - half * half).sqrt() / half;
+        Ok([x + between[0] - height * between[1], y + between[1] + height * between[0]])
     }
 }
 
@@ -91,7 +107,7 @@ impl Robot for FiveBar {
     }
 
     fn forward(&self, joints: &Joints) -> Result<Pose, KinematicsError> {
-        let ([x, y], _) = self.place(joints.exactly()?)?;
+        let [x, y] = self.place(joints.exactly()?)?;
         Ok(Pose::translation(x, y, 0.0))
     }
 
@@ -106,11 +122,11 @@ impl Robot for FiveBar {
         for (joint, turn) in joints.iter_mut().zip([1.0, -1.0]) {
             let (x, y) = (place.x + 0.5 * turn * base, place.y);
             let way = x.hypot(y);
-            let cosine = (proximal * proximal + way * way - distal * distal) / (2.0 * proximal * way);
-            if cosine.is_nan() || cosine.abs() > 1.0 {
-                let margin = (way - proximal - distal).max((proximal - distal).abs() - way);
+            let margin = (way - proximal - distal).max((proximal - distal).abs() - way);
+            if !(margin <= 0.0 && way > 0.0) {
                 return Err(KinematicsError::Unreachable { margin });
             }
+            let cosine = (proximal * proximal + way * way - distal * distal) / (2.0 * proximal * way);
             *joint = y.atan2(x) + turn * cosine.acos();
         }
         self.motors_from_joints(&joints.into())?;
@@ -118,8 +134,7 @@ impl Robot for FiveBar {
     }
 
     fn motors_from_joints(&self, joints: &Joints) -> Result<Motors, KinematicsError> {
-        let joints: &[f64; 2] = joints.exactly()?;
-        self.place(joints)?;
+        self.place(joints.exactly()?)?;
         (0..2).try_for_each(|axis| JOINTS[axis].check(Space::Joint, axis, joints[axis]))?;
         Ok(Motors::from([0, 1].map(|axis| RATIO * (joints[axis] - HOME[axis]))))
     }
@@ -127,22 +142,6 @@ impl Robot for FiveBar {
     fn joints_from_motors(&self, motors: &Motors) -> Result<Joints, KinematicsError> {
         let motors: &[f64; 2] = motors.exactly()?;
         Ok(Joints::from([0, 1].map(|axis| HOME[axis] + motors[axis] / RATIO)))
-    }
-
-    fn jacobian(&self, joints: &Joints) -> Result<Jacobian, KinematicsError> {
-        let joints: &[f64; 2] = joints.exactly()?;
-        let (_, [left, right]) = self.place(joints)?;
-        // The distal links keep their lengths: each row is the velocity of the flange along one distal link.
-        let across = left[0] * right[1] - left[1] * right[0];
-        if across.abs() < 1e-9 {
-            return Err(KinematicsError::Singular { axis: 0, margin: across.abs() });
-        }
-        let along = |link: [f64; 2], joint: f64| self.proximal * (link[1] * joint.cos() - link[0] * joint.sin());
-        let (first, second) = (along(left, joints[0]) / across, along(right, joints[1]) / across);
-        let mut jacobian = Jacobian::zeros();
-        (jacobian[(0, 0)], jacobian[(1, 0)]) = (right[1] * first, -right[0] * first);
-        (jacobian[(0, 1)], jacobian[(1, 1)]) = (-left[1] * second, left[0] * second);
-        Ok(jacobian)
     }
 }
 

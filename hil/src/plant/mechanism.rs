@@ -5,6 +5,7 @@ mod chain;
 mod coupling;
 mod irp6;
 mod kinematics;
+mod linkage;
 mod polycrank;
 mod rnt;
 mod screw;
@@ -20,8 +21,11 @@ pub use bodies::{ChainBodies, ChainBodyJoint, ChainError};
 use chain::Body;
 pub use chain::Load;
 pub(super) use coupling::CoupledMotor;
+use coupling::{Coupled, Coupling};
 use irp6::Irp6;
 pub(crate) use kinematics::{Kinematics, Shafts};
+use linkage::Linkage;
+pub use linkage::{LinkBody, LinkPoses, LinkageBodies, LinkageError};
 use nalgebra::Vector3;
 use polycrank::Polycrank;
 use rnt::Rnt;
@@ -52,6 +56,8 @@ pub enum MechanismConfig {
     },
     /// One to eight axes in series, with any axes, masses and inertias.
     Chain(Arc<ChainBodies>),
+    /// Links in any arrangement, which a function places.
+    Linkage(Arc<LinkageBodies>),
 }
 
 /// The links of one robot, on which its axes are mounted. Clones refer to the same robot.
@@ -60,12 +66,12 @@ pub enum MechanismConfig {
 /// Screws, parallelograms, rods and platforms couple the motors as in the robot. The load is computed once per
 /// millisecond. Left out: bending; friction that depends on load.
 ///
-/// In a [`MechanismConfig::Chain`], accelerations and velocities of all axes act on each motor (inertial coupling,
-/// Coriolis and centrifugal torques). Motors that advance together couple in each sub-step of 100 µs. The motors of a
-/// [`Scene`](crate::scene::Scene) do so. Otherwise a motor feels the torques of the other motors when its own drive
-/// advances, for example once per SYNC. An axis without a motor is held, and so is an axis with the regression model.
-/// In the robots of the laboratory these torques are left out. An exception is a change of inertia by the other axes,
-/// which conserves momentum.
+/// In a [`MechanismConfig::Chain`] and a [`MechanismConfig::Linkage`], accelerations and velocities of all axes act on
+/// each motor (inertial coupling, Coriolis and centrifugal torques). Motors that advance together couple in each
+/// sub-step of 100 µs. The motors of a [`Scene`](crate::scene::Scene) do so. Otherwise a motor feels the torques of the
+/// other motors when its own drive advances, for example once per SYNC. An axis without a motor is held, and so is an
+/// axis with the regression model. In the robots of the laboratory these torques are left out. An exception is a change
+/// of inertia by the other axes, which conserves momentum.
 ///
 /// In a [`Scene`](crate::scene::Scene), the forces on the flange also load the motors, in each sub-step.
 ///
@@ -116,6 +122,7 @@ enum Links {
     Rnt(Rnt),
     Polycrank(Polycrank),
     Chain(SerialChain),
+    Linkage(Linkage),
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -157,6 +164,11 @@ impl Mechanism {
                 let axes = bodies.axes();
                 (Links::Chain(SerialChain::new(bodies)), axes)
             }
+            MechanismConfig::Linkage(bodies) => {
+                let linkage = Linkage::new(bodies);
+                let axes = linkage.axes();
+                (Links::Linkage(linkage), axes)
+            }
         };
         let robot = Robot {
             links,
@@ -196,6 +208,7 @@ impl Mechanism {
     /// * RNT: 100 mm beyond the wrist centre.
     /// * Polycrank: the frame of the last joint.
     /// * Chain: the flange of its description.
+    /// * Linkage: the flange that its function places.
     pub fn set_payload(&self, mass: f64, centre: [f64; 3]) {
         let mut robot = self.lock();
         let (motors, payload) = (robot.motors, Body::point(mass, centre));
@@ -204,6 +217,7 @@ impl Mechanism {
             Links::Rnt(rnt) => rnt.wrist.payload = payload,
             Links::Polycrank(polycrank) => polycrank.chain.payload = payload,
             Links::Chain(chain) => chain.set_payload(payload, &motors),
+            Links::Linkage(linkage) => linkage.set_payload(payload, &motors),
         }
         robot.loads = [None; AXES];
     }
@@ -217,6 +231,7 @@ impl Mechanism {
         }
         let loaded = match &robot.links {
             Links::Chain(chain) => chain.load(number, &robot.motors),
+            Links::Linkage(linkage) => linkage.load(number, &robot.motors),
             Links::Irp6(_) | Links::Rnt(_) | Links::Polycrank(_) => robot.clone().load(number),
         };
         Load { torque: loaded.links.torque, inertia: loaded.inertia() }
@@ -243,12 +258,14 @@ impl Mechanism {
     /// * RNT: the centre of the legs' joints in the base, z along the central leg.
     /// * Polycrank: on axis 1, which is the z axis.
     /// * Chain: the base of its description.
+    /// * Linkage: the base of its function.
     pub fn up(&self) -> [f64; 3] {
         match &self.lock().links {
             Links::Irp6(_) => irp6::UP,
             Links::Rnt(_) => rnt::UP,
             Links::Polycrank(_) => polycrank::UP,
             Links::Chain(chain) => chain.bodies.up,
+            Links::Linkage(linkage) => linkage.up(),
         }
         .into()
     }
@@ -256,7 +273,7 @@ impl Mechanism {
     /// Effective mass, kg, of a point of the tool in a direction: force per acceleration, with all motors free and
     /// without friction. `point`, m, is in the flange frame, and `direction` in the base frame. Infinite if no motor
     /// moves the point in this direction. The inertia of each motor is given by [`Mechanism::load`]; the inertial
-    /// coupling between motors is neglected, except in a [`MechanismConfig::Chain`].
+    /// coupling between motors is neglected, except in a [`MechanismConfig::Chain`] or a [`MechanismConfig::Linkage`].
     ///
     /// A drive that holds its position adds resistance only after its reaction time. The effective mass determines the
     /// peak force of an impact that is shorter than this time.
@@ -266,8 +283,10 @@ impl Mechanism {
         let force = Vector3::from(direction).normalize();
         let torques = kinematics.torques(&force, &arm.cross(&force));
         let robot = self.lock();
-        if let Links::Chain(chain) = &robot.links {
-            return 1.0 / chain.mobility(&robot.motors, &torques);
+        match &robot.links {
+            Links::Chain(chain) => return 1.0 / chain.mobility(&robot.motors, &torques),
+            Links::Linkage(linkage) => return 1.0 / linkage.mobility(&robot.motors, &torques),
+            Links::Irp6(_) | Links::Rnt(_) | Links::Polycrank(_) => {}
         }
         let mut robot = robot.clone();
         let motors = torques.iter().take(robot.count).enumerate();
@@ -330,6 +349,8 @@ impl Mechanism {
             Links::Rnt(rnt) => rnt.travel(distance),
             Links::Polycrank(polycrank) => polycrank.travel(distance),
             Links::Chain(chain) => chain.travel(distance),
+            // The flange is computed in each step, because its room is 0.
+            Links::Linkage(_) => [0.0; AXES],
         }
     }
 
@@ -367,6 +388,7 @@ impl Mount {
         match &mut robot.links {
             Links::Rnt(rnt) => rnt.settle(&motors),
             Links::Chain(chain) => chain.coupling.place(self.number),
+            Links::Linkage(linkage) => linkage.coupling.place(self.number),
             Links::Irp6(_) | Links::Polycrank(_) => {}
         }
     }
@@ -374,21 +396,21 @@ impl Mount {
     /// Lets the motor take part in coupled dynamics. Returns whether the robot has coupled dynamics.
     pub(super) fn release(&self) -> bool {
         let mut robot = self.mechanism.lock();
-        let Links::Chain(chain) = &mut robot.links else {
-            return false;
-        };
-        chain.coupling.release(self.number);
-        true
+        let coupling = robot.links.coupling();
+        let is_coupled = coupling.is_some();
+        coupling.into_iter().for_each(|coupling| coupling.release(self.number));
+        is_coupled
     }
 
     /// Begins a sub-step of the motor of a robot with coupled dynamics; `None` for another robot.
     pub(super) fn begin(&self) -> Option<CoupledMotor> {
         let mut robot = self.mechanism.lock();
         let motors = robot.motors;
-        let Links::Chain(chain) = &mut robot.links else {
-            return None;
-        };
-        Some(chain.begin(self.number, &motors))
+        match &mut robot.links {
+            Links::Chain(chain) => Some(chain.begin(self.number, &motors)),
+            Links::Linkage(linkage) => Some(linkage.begin(self.number, &motors)),
+            Links::Irp6(_) | Links::Rnt(_) | Links::Polycrank(_) => None,
+        }
     }
 
     /// Ends a sub-step of the motor of a robot with coupled dynamics: its torques have changed its velocity by
@@ -396,14 +418,14 @@ impl Mount {
     pub(super) fn end(&self, change: f64, angle: f64) {
         let mut robot = self.mechanism.lock();
         robot.motors[self.number] = angle - robot.homes[self.number];
-        let Links::Chain(chain) = &mut robot.links else {
+        let Some(coupling) = robot.links.coupling() else {
             return;
         };
         if change != 0.0 {
-            chain.coupling.push(self.number, change);
+            coupling.push(self.number, change);
         }
         if self.in_scene() {
-            for (shaft, velocity) in self.mechanism.0.shafts.iter().zip(&chain.coupling.velocities) {
+            for (shaft, velocity) in self.mechanism.0.shafts.iter().zip(&coupling.velocities) {
                 shaft.set_velocity(*velocity);
             }
         }
@@ -431,6 +453,17 @@ impl Mount {
     }
 }
 
+impl Links {
+    /// The state of motors with coupled dynamics; `None` for another robot.
+    fn coupling(&mut self) -> Option<&mut Coupling> {
+        match self {
+            Self::Chain(chain) => Some(&mut chain.coupling),
+            Self::Linkage(linkage) => Some(&mut linkage.coupling),
+            Self::Irp6(_) | Self::Rnt(_) | Self::Polycrank(_) => None,
+        }
+    }
+}
+
 impl Robot {
     /// Motor angles relative to home, rad, with the motor shafts at these angles, rad.
     fn relative_to_home(&self, angles: &[f64; AXES]) -> [f64; AXES] {
@@ -448,6 +481,7 @@ impl Robot {
             Links::Rnt(rnt) => rnt.kinematics(motors),
             Links::Polycrank(polycrank) => polycrank.kinematics(motors),
             Links::Chain(chain) => chain.kinematics(motors),
+            Links::Linkage(linkage) => linkage.kinematics(motors),
         }
     }
 
@@ -460,6 +494,7 @@ impl Robot {
             Links::Rnt(rnt) => rnt.load(number, &self.motors),
             Links::Polycrank(polycrank) => polycrank.load(number, &self.motors),
             Links::Chain(chain) => chain.load(number, &self.motors),
+            Links::Linkage(linkage) => linkage.load(number, &self.motors),
         };
         self.loads[number] = Some((self.motors, load));
         load

@@ -183,7 +183,9 @@ mod tests {
     use std::sync::Arc;
 
     use super::{AxisConfig, NominalJoint};
-    use crate::plant::{ChainBodies, ChainBodyJoint, Demand, Mechanism, MechanismConfig, PlantAxis};
+    use crate::plant::{
+        ChainBodies, ChainBodyJoint, Demand, Gravity, Mechanism, MechanismConfig, PlantAxis, PlantConfig,
+    };
 
     const JOINT: NominalJoint = NominalJoint {
         ratio: 100.0,
@@ -286,6 +288,31 @@ mod tests {
         for second in 0..300 {
             axis.advance(10_000, Demand::Torque(JOINT.effort / JOINT.ratio));
             assert_eq!(axis.feedback().trip, None, "at {second} s");
+        }
+    }
+
+    #[test]
+    fn a_motor_that_falls_is_caught_by_its_drive_at_any_speed() {
+        for speed in [20.0, 100.0, 190.0, -190.0] {
+            let mut config = AxisConfig::nominal(&JOINT).unwrap();
+            if let PlantConfig::Physical(motor) = &mut config.plant {
+                let amplitude = f64::copysign(0.5 * JOINT.effort / JOINT.ratio, speed);
+                motor.gravity = Gravity { amplitude, ratio: JOINT.ratio, phase: -config.start_angle / JOINT.ratio };
+            }
+            // The brake does not hold.
+            config.brake = 0.0;
+            let mut axis = PlantAxis::new(&config, 1);
+            let mut fallen = 0;
+            while axis.velocity().abs() < f64::abs(speed) {
+                axis.advance(10, Demand::Off);
+                fallen += 1;
+                assert!(fallen < 1000, "{} of {speed} rad/s", axis.velocity());
+            }
+            for at in 0..500 {
+                axis.advance(10, Demand::Velocity(0.0));
+                assert_eq!(axis.feedback().trip, None, "{speed} rad/s, at {at} ms");
+            }
+            assert!(axis.velocity().abs() < 1.0, "{speed} rad/s: still {} rad/s", axis.velocity());
         }
     }
 

@@ -41,6 +41,28 @@ pub fn examine(robot: &dyn Robot) -> Result<(), String> {
     }
 }
 
+/// Compares the flange that the emulated links have with the motors at some angles, by `place`, with forward kinematics and
+/// drive train of the robot. Describes the first contradiction.
+pub(super) fn examine_links(robot: &dyn Robot, mut place: impl FnMut(&[f64]) -> Option<Pose>) -> Result<(), String> {
+    for joints in (1..=POSTURES).filter_map(|number| spread(robot, number)) {
+        let (Ok(motors), Ok(pose)) = (robot.motors_from_joints(&joints), robot.forward(&joints)) else {
+            continue;
+        };
+        let at = || format!("at the joints {joints:?}, motors {motors:?}");
+        let Some(found) = place(&motors) else {
+            return Err(format!("place_links has no pose of the links {}", at()));
+        };
+        let (distance, angle) = apart(&pose, &found);
+        if !(distance <= CLOSE && angle <= CLOSE) {
+            return Err(format!(
+                "place_links has the flange {distance:.6} m and {angle:.6} rad from that of forward {}",
+                at()
+            ));
+        }
+    }
+    Ok(())
+}
+
 /// Posture `number` of an even spread: each joint at a multiple of an irrational part of its range.
 fn spread(robot: &dyn Robot, number: u32) -> Option<Joints> {
     let joint = |(axis, limits): (usize, &controller::robot::Limits)| {

@@ -4,14 +4,15 @@ use std::any::TypeId;
 use std::fmt;
 use std::sync::{Arc, PoisonError, RwLock};
 
-use controller::robot::{Mass, MotorRating, ParameterError, Robot, RobotParameters};
-use hil::AxisConfig;
-use hil::plant::NominalJoint;
+use controller::robot::{Mass, MotorRating, Motors, ParameterError, Robot, RobotParameters};
+use hil::plant::{LinkBody, LinkPoses, LinkageBodies, NominalJoint};
+use hil::{AxisConfig, MechanismConfig};
 use serde::de::DeserializeOwned;
 use serde::{Serialize, Serializer};
 use toml::de::DeValue;
 
-use super::{Model, Parameters, examine};
+use super::examination::examine_links;
+use super::{Model, Parameters, Pose, examine};
 use crate::cell::{CellError, Path, read_element};
 
 /// A robot that a program adds. Each number of the robot has a key in cell files.
@@ -23,8 +24,9 @@ use crate::cell::{CellError, Path, read_element};
 /// parameters = { five-bar = { base = 0.2, proximal = 0.25, distal = 0.3 } }
 /// ```
 ///
-/// Every value is read by serde: `#[serde(deny_unknown_fields)]` refuses a misspelt key. The emulated robot has one motor
-/// per axis, each with a load of its own. All numbers of these motors are nominal.
+/// Every value is read by serde: `#[serde(deny_unknown_fields)]` refuses a misspelt key. The emulated robot has one
+/// motor per axis. All numbers of these motors are nominal. The motors move the [links](Self::emulated_links) of the
+/// robot; without links, each motor moves a load of its own.
 ///
 /// Methods with a default may be added to this trait; every other change is announced in the change log.
 pub trait OwnRobot: RobotParameters + Default + fmt::Debug + Serialize + DeserializeOwned + Keys + Send + Sync {
@@ -38,7 +40,27 @@ pub trait OwnRobot: RobotParameters + Default + fmt::Debug + Serialize + Deseria
     fn is_linear(&self, _axis: usize) -> bool {
         false
     }
+
+    /// The links that the emulated motors move, at most 16. [`place_links`](Self::place_links) gives their poses, from
+    /// which the emulator computes inertia, weight, Coriolis and centrifugal torques of all motors. Gravity acts
+    /// against [`RobotParameters::up`].
+    fn emulated_links(&self) -> Vec<EmulatedLink> {
+        Vec::new()
+    }
+
+    /// Writes the pose of each link and, last, that of the flange in the base frame, with the motors at these angles,
+    /// rad, counted as in [`Robot::home`]. Returns false if the links cannot take such a pose.
+    ///
+    /// The emulator knows the robot by this function alone: write it without the functions of [`Robot`], so that an
+    /// error in either of them is found. The flange is compared with [`Robot::forward`] when a cell is read. The
+    /// function is called many times per millisecond, so it does not allocate.
+    fn place_links(&self, _motors: &[f64], _poses: &mut [Pose]) -> bool {
+        false
+    }
 }
+
+/// A link of an emulated robot.
+pub type EmulatedLink = LinkBody;
 
 /// Requirements of a joint on its emulated motor. The range of the motor is [`Robot::motor_limits`].
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -201,12 +223,31 @@ impl OwnParameters {
     /// Motor, sensors and switches of axis `number`, with its motor at home at 0.
     pub(super) fn plant(&self, number: usize) -> Result<AxisConfig, String> {
         let robot = self.0.robot().map_err(|error| error.to_string())?;
+        AxisConfig::nominal(&self.demand(&*robot, number)).map_err(|error| format!("joint {number}: {error}"))
+    }
+
+    /// Requirements of a joint on its motor, which is at 0 at home.
+    fn demand(&self, robot: &dyn Robot, number: usize) -> NominalJoint {
         let (home, limits) = (robot.home()[number], robot.motor_limits()[number]);
         let EmulatedJoint { ratio, inertia, velocity, effort } = self.0.joint(number);
         let is_finite = limits.low.is_finite() && limits.high.is_finite();
         let travel = is_finite.then_some((limits.low - home, limits.high - home));
-        let joint = NominalJoint { ratio, inertia, velocity, effort, home: 0.0, travel };
-        AxisConfig::nominal(&joint).map_err(|error| format!("joint {number}: {error}"))
+        NominalJoint { ratio, inertia, velocity, effort, home: 0.0, travel }
+    }
+
+    /// The links that the motors move; `None` where each motor moves a load of its own.
+    pub(super) fn mechanism(&self) -> Result<Option<MechanismConfig>, String> {
+        let links = self.0.emulated_links();
+        if links.is_empty() {
+            return Ok(None);
+        }
+        let robot = self.0.robot().map_err(|error| error.to_string())?;
+        let joints: Vec<_> = (0..self.0.axes()).map(|number| self.demand(&*robot, number)).collect();
+        let ratios: Vec<_> = joints.iter().map(|joint| joint.ratio).collect();
+        let rotors: Vec<_> = joints.iter().map(NominalJoint::rotor_inertia).collect();
+        let poses = Arc::new(Placed { numbers: Arc::clone(&self.0), home: robot.home() });
+        let bodies = LinkageBodies::new(poses, &links, self.0.up(), &ratios, &rotors);
+        bodies.map(|bodies| Some(MechanismConfig::Linkage(Arc::new(bodies)))).map_err(|error| error.to_string())
     }
 
     /// Refuses numbers whose robot or emulation has another number of axes, or whose robot breaks its contract.
@@ -219,7 +260,27 @@ impl OwnParameters {
             return Err(format!("{model} states {axes} axes, and its robot has {lengths:?} limits and home positions"));
         }
         (0..axes).try_for_each(|number| self.plant(number).map(drop))?;
-        examine(&*robot)
+        examine(&*robot)?;
+        if self.mechanism()?.is_none() {
+            return Ok(());
+        }
+        let mut poses = vec![Pose::identity(); self.0.emulated_links().len() + 1];
+        examine_links(&*robot, |motors| self.0.place_links(motors, &mut poses).then(|| poses.last().copied()).flatten())
+    }
+}
+
+/// Poses of the links of a robot by the angles of its motors from home.
+#[derive(Debug)]
+struct Placed {
+    numbers: Arc<dyn Numbers>,
+    home: Motors,
+}
+
+impl LinkPoses for Placed {
+    fn place(&self, motors: &[f64], poses: &mut [Pose]) -> bool {
+        let mut angles = self.home;
+        angles.iter_mut().zip(motors).for_each(|(angle, motor)| *angle += motor);
+        self.numbers.place_links(&angles, poses)
     }
 }
 
@@ -272,6 +333,8 @@ trait Numbers: fmt::Debug + Send + Sync {
     fn up(&self) -> [f64; 3];
     fn joint(&self, axis: usize) -> EmulatedJoint;
     fn is_linear(&self, axis: usize) -> bool;
+    fn emulated_links(&self) -> Vec<EmulatedLink>;
+    fn place_links(&self, motors: &[f64], poses: &mut [Pose]) -> bool;
     fn table(&self) -> Result<toml::Value, toml::ser::Error>;
 }
 
@@ -312,191 +375,18 @@ impl<T: OwnRobot> Numbers for T {
         OwnRobot::is_linear(self, axis)
     }
 
+    fn emulated_links(&self) -> Vec<EmulatedLink> {
+        OwnRobot::emulated_links(self)
+    }
+
+    fn place_links(&self, motors: &[f64], poses: &mut [Pose]) -> bool {
+        OwnRobot::place_links(self, motors, poses)
+    }
+
     fn table(&self) -> Result<toml::Value, toml::ser::Error> {
         toml::Value::try_from(self)
     }
 }
 
 #[cfg(test)]
-mod tests {
-    use controller::robot::{ConveyorParameters, Jacobian, Joints, KinematicsError, Limits, Motors, Pose, Solutions};
-    use serde::Deserialize;
-
-    use super::*;
-    use crate::cell::Cell;
-
-    /// A sledge of one axis along x.
-    #[derive(Clone, Debug, Serialize, Deserialize)]
-    #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-    #[serde(deny_unknown_fields, default)]
-    struct Sledge {
-        /// Motor angle per displacement, rad/m.
-        ratio: f64,
-        /// Factor by which the Jacobian is wrong.
-        wrong: f64,
-    }
-
-    impl Default for Sledge {
-        fn default() -> Self {
-            Self { ratio: 100.0, wrong: 1.0 }
-        }
-    }
-
-    const RANGE: [Limits; 1] = [Limits { low: -1.0, high: 1.0 }];
-    const MOTOR: [Limits; 1] = [Limits { low: -100.0, high: 100.0 }];
-
-    impl Robot for Sledge {
-        fn joint_limits(&self) -> &[Limits] {
-            &RANGE
-        }
-        fn motor_limits(&self) -> &[Limits] {
-            &MOTOR
-        }
-        fn home(&self) -> Motors {
-            Motors::from([0.0])
-        }
-        fn forward(&self, joints: &Joints) -> Result<Pose, KinematicsError> {
-            Ok(Pose::translation(joints[0], 0.0, 0.0))
-        }
-        fn inverse(&self, pose: &Pose, _near: &Joints) -> Result<Solutions, KinematicsError> {
-            Ok(Joints::from([pose.translation.x]).into())
-        }
-        fn motors_from_joints(&self, joints: &Joints) -> Result<Motors, KinematicsError> {
-            Ok(Motors::from([joints[0] * self.ratio]))
-        }
-        fn joints_from_motors(&self, motors: &Motors) -> Result<Joints, KinematicsError> {
-            Ok(Joints::from([motors[0] / self.ratio]))
-        }
-        fn jacobian(&self, _joints: &Joints) -> Result<Jacobian, KinematicsError> {
-            let mut jacobian = Jacobian::zeros();
-            jacobian[(0, 0)] = self.wrong;
-            Ok(jacobian)
-        }
-    }
-
-    impl RobotParameters for Sledge {
-        fn axes(&self) -> usize {
-            1
-        }
-        fn robot(&self) -> Result<Arc<dyn Robot>, ParameterError> {
-            match self.ratio {
-                0.0 => Err(ParameterError::NoRatio { name: "ratio" }),
-                _ => Ok(Arc::new(self.clone())),
-            }
-        }
-    }
-
-    impl OwnRobot for Sledge {
-        const MODEL: &'static str = "sledge";
-
-        fn joint(&self, _axis: usize) -> EmulatedJoint {
-            EmulatedJoint { ratio: self.ratio, inertia: 2.0, velocity: 1.0, effort: 20.0 }
-        }
-
-        fn is_linear(&self, _axis: usize) -> bool {
-            true
-        }
-    }
-
-    /// The text of a cell with one sledge, whose numbers are `parameters`.
-    fn cell(parameters: &str) -> String {
-        format!(
-            "name = \"sledge\"\nperiod_us = 2000\nmacrostep = 10\nrealtime = {{ policy = \"best-effort\", priority = 80 }}\n\
-             bus = [{{ name = \"can0\", interface = \"can0\" }}]\n[[robot]]\nname = \"sledge\"\nmodel = \"sledge\"\n\
-             {parameters}\n[[robot.axis]]\nname = \"x\"\nbus = \"can0\"\nnode = 1\n\
-             drive = {{ vendor = 0xFB, counts_per_revolution = 4096, rated_torque = 0.5 }}\nmax_velocity = 90.0\n\
-             max_acceleration = 300.0\nfollowing_error = 2.0\n\
-             homing = {{ method = 37, search_velocity = 5.0, zero_velocity = 1.0, acceleration = 100.0 }}\n"
-        )
-    }
-
-    #[test]
-    fn a_registered_robot_has_its_own_keys_and_others_are_refused_in_their_line() {
-        register::<Sledge>();
-        register::<Sledge>();
-        let robot = |parameters: &str| Cell::parse(&cell(parameters)).map(|cell| cell.robot[0].clone());
-        let usual = robot("").unwrap();
-        assert_eq!((usual.numbers().name(), usual.numbers().axes()), ("sledge", 1));
-        let given = robot("parameters = { sledge = { ratio = -50.0 } }").unwrap();
-        assert_eq!(given.kinematics().unwrap().motors_from_joints(&[0.1].into()).unwrap()[0], -5.0);
-        assert!(given.numbers().is_linear(0));
-        let refused = |parameters: &str| robot(parameters).unwrap_err().to_string();
-        assert_eq!(
-            refused("parameters = { sledge = { ratoi = 1.0 } }"),
-            "9: robot[0].parameters.sledge.ratoi: is an unknown key, must be \"ratio\" or \"wrong\""
-        );
-        assert_eq!(
-            refused("parameters = { sledge = { ratio = nan } }"),
-            "9: robot[0].parameters.sledge.ratio: must be a finite number"
-        );
-        assert_eq!(
-            refused("parameters = { sledge = { ratio = 0.0 } }"),
-            "9: robot[0].parameters: ratio has a ratio of zero"
-        );
-        assert_eq!(
-            refused("parameters = { gripper = { square = 1.0 } }").split(" is ").next(),
-            Some("9: robot[0].parameters.gripper.linear:")
-        );
-        let other = cell("").replace("model = \"sledge\"", "model = \"sleigh\"");
-        let other = Cell::parse(&other).unwrap_err().to_string();
-        assert!(other.starts_with("8: robot[0].model: is \"sleigh\", must be \"irb6\", "), "{other}");
-        assert!(other.ends_with("or \"sledge\"; a model of another program is known to that program alone"), "{other}");
-    }
-
-    #[test]
-    fn kinematics_that_contradict_each_other_are_refused() {
-        register::<Sledge>();
-        let refused = Cell::parse(&cell("parameters = { sledge = { wrong = 1.001 } }")).unwrap_err().to_string();
-        assert!(
-            refused.starts_with("9: robot[0].parameters: jacobian at the joints [0.0] has 1.001000 in row 0, column 0"),
-            "{refused}"
-        );
-        let unmoved = Cell::parse(&cell("parameters = { sledge = { ratio = inf } }")).unwrap_err().to_string();
-        assert!(unmoved.contains("must be a finite number"), "{unmoved}");
-    }
-
-    #[test]
-    fn a_cell_is_written_and_read_again() {
-        register::<Sledge>();
-        let parsed = Cell::parse(&cell("parameters = { sledge = { ratio = 60.0 } }")).unwrap();
-        let again = Cell::parse(&toml::to_string(&parsed).unwrap()).unwrap();
-        assert_eq!(again.robot[0].model.map(Model::name), Some("sledge"));
-        assert_eq!(again.robot[0].kinematics().unwrap().motors_from_joints(&[0.1].into()).unwrap()[0], 6.0);
-    }
-
-    #[cfg(feature = "schema")]
-    #[test]
-    fn the_schema_has_the_keys_of_a_registered_robot() {
-        register::<Sledge>();
-        let schema = Cell::schema();
-        let schema = schema.as_value();
-        let last = |name: &str| schema["$defs"][name]["oneOf"].as_array().unwrap().last().unwrap().clone();
-        assert_eq!(last("Model")["const"], "sledge");
-        let keys = &last("Parameters")["properties"]["sledge"]["properties"];
-        assert_eq!(keys["ratio"]["description"], "Motor angle per displacement, rad/m.");
-    }
-
-    #[test]
-    #[should_panic(expected = "two robots are called \"conveyor\"")]
-    fn a_built_in_robot_is_not_replaced() {
-        #[derive(Clone, Debug, Default, Serialize, Deserialize)]
-        #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-        struct Belt;
-        impl RobotParameters for Belt {
-            fn axes(&self) -> usize {
-                1
-            }
-            fn robot(&self) -> Result<Arc<dyn Robot>, ParameterError> {
-                ConveyorParameters::belt().robot()
-            }
-        }
-        impl OwnRobot for Belt {
-            const MODEL: &'static str = "conveyor";
-
-            fn joint(&self, _axis: usize) -> EmulatedJoint {
-                unreachable!("never registered")
-            }
-        }
-        register::<Belt>();
-    }
-}
+mod tests;

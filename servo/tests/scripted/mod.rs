@@ -223,7 +223,7 @@ impl Drive {
                 let torque = sense * torque.get();
                 let kept = state.switches.lower_limit && torque < 0.0 || state.switches.upper_limit && torque > 0.0;
                 let torque = if self.guards && kept { -self.spin * INERTIA / BRAKING_TIME } else { torque };
-                self.spin += (torque + self.load) / INERTIA * dt;
+                self.spin = if self.blocked { 0.0 } else { self.spin + (torque + self.load) / INERTIA * dt };
                 state.position += self.spin * dt;
             }
             AxisCommand::Follow(Setpoint::Position(position)) | AxisCommand::Seek(Setpoint::Position(position))

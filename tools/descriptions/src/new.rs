@@ -3,6 +3,8 @@
 //! What the description knows is taken from it. Everything else is invented so that the emulated arm can move, and the file
 //! says of each such number that it is nominal.
 
+mod questions;
+
 use std::collections::BTreeSet;
 use std::fmt::Write as _;
 use std::fs::{self, File};
@@ -13,6 +15,8 @@ use anyhow::{Context as _, ensure};
 use clap::Args;
 use controller::robot::LinkKind;
 use mrroc::cell::{DescribedJoint, DescribedRobot, read_urdf};
+
+use questions::{Order, Package};
 
 /// Velocity of a nominal motor at the greatest velocity of its joint, rad/s.
 const MOTOR: f64 = 300.0;
@@ -32,11 +36,14 @@ const AXES_OF_A_BUS: usize = 6;
 /// Which cell file to write, and from which description.
 #[derive(Args)]
 pub struct Options {
-    /// The cell file to write. A file that exists is kept.
-    cell: PathBuf,
+    /// The cell file to write. A file that exists is kept. On a terminal, the command asks for what is absent.
+    cell: Option<PathBuf>,
     /// The robot description in URDF. `xacro FILE.xacro > FILE.urdf` writes out a xacro file.
     #[arg(long)]
-    urdf: PathBuf,
+    urdf: Option<PathBuf>,
+    /// Folder of a package, for a description `package://NAME/FILE`. May be given several times.
+    #[arg(long, value_name = "NAME=DIR")]
+    package: Vec<Package>,
     /// The base link; the root of the description where absent.
     #[arg(long)]
     base: Option<String>,
@@ -47,20 +54,21 @@ pub struct Options {
 
 /// Writes the cell file, and says what to do next.
 pub fn new(options: &Options) -> anyhow::Result<String> {
-    let shown = options.urdf.display();
-    let bytes = fs::read(&options.urdf).with_context(|| shown.to_string())?;
+    let Order { cell: path, urdf, base, flange } = Order::of(options)?;
+    let shown = urdf.display();
+    let bytes = fs::read(&urdf).with_context(|| shown.to_string())?;
     let description = String::from_utf8(bytes).with_context(|| format!("{shown}: is no UTF-8 text"))?;
-    let described = read_urdf(&description, options.base.as_deref(), options.flange.as_deref());
+    let described = read_urdf(&description, base.as_deref(), flange.as_deref());
     let described = described.map_err(|problem| anyhow::anyhow!("{shown}:{problem}"))?;
     let count = described.joints.len();
     ensure!(
         count <= 8,
         "{shown}: has {count} moving joints between base and flange, at most 8 are possible: choose by --base and --flange"
     );
-    let text = cell(&options.cell, &options.urdf, &described)?;
-    let mut file = File::create_new(&options.cell).with_context(|| options.cell.display().to_string())?;
-    file.write_all(text.as_bytes()).with_context(|| options.cell.display().to_string())?;
-    let name = options.cell.display();
+    let text = cell(&path, &urdf, &described)?;
+    let name = path.display();
+    let mut file = File::create_new(&path).with_context(|| name.to_string())?;
+    file.write_all(text.as_bytes()).with_context(|| name.to_string())?;
     let mut said = format!("{name}: {count} joints from {:?} to {:?} of {shown}\n", described.base, described.flange);
     if !described.left_out.is_empty() {
         let _ = writeln!(said, "left out, since they are beside this way: {}", described.left_out.join(", "));

@@ -116,17 +116,26 @@ impl SmallestSteps {
 }
 
 impl FaultCase {
-    /// Declared bounds on robot 0 of a cell whose motors move at `velocity`, rad/s.
+    /// Declared bounds on robot 0 of a cell whose motors move at `velocity`, rad/s. `detected` is the time of the detection.
     ///
     /// The distance of a motor is the sum of three parts, with a margin. The motor moves on until the detection, and for the
-    /// four periods from sample to effect. The stop brakes with the deceleration of the limit. Twice the following error
-    /// is added, for the distances between motor and set-point at the strike and at the end.
+    /// four periods from sample to effect. The stop keeps the path: all motors brake in the time that the slowest of them
+    /// takes with the deceleration of its limit. Twice the following error is added, for the distances between motor and
+    /// set-point at the strike and at the end.
     ///
-    /// The following error itself limits the distance until it finds a fault. The time of such a detection is four times the
-    /// time at constant speed to the limit of the error, and to the obstacle of a collision. A motor that a sagging supply
-    /// slows has five times this time, because it may keep four fifths of its speed. In homing, it moves on for this time,
-    /// less the following error by which it is then late.
-    pub(super) fn bounds(&self, file: &CellFile, axis: usize, velocity: &[f64; MAX_AXES], phase: FaultPhase) -> Bounds {
+    /// The following error itself limits the distance of the struck motor until it finds a fault. In a motion, the other
+    /// motors follow their set-points until the detection. The time of such a detection is four times the time at constant
+    /// speed to the limit of the error, and to the obstacle of a collision. A motor that a sagging supply slows has five
+    /// times this time, because it may keep four fifths of its speed. In homing, it moves on for this time, less the
+    /// following error by which it is then late.
+    pub(super) fn bounds(
+        &self,
+        file: &CellFile,
+        axis: usize,
+        velocity: &[f64; MAX_AXES],
+        phase: FaultPhase,
+        detected: Option<Duration>,
+    ) -> Bounds {
         let cell = &file.cell;
         let robot = &cell.robot[0];
         let name = &robot.axis[axis].bus;
@@ -161,11 +170,21 @@ impl FaultCase {
             Within::Contact => both(contact_delay(cell.period())),
             Within::Macrostep => both(cell.period() * (u32::from(STEPS) + 4)),
         };
-        let blind = (blind + 4 * cell.period()).as_secs_f64();
+        // At rest and in homing, the other motors stand.
+        let is_of_error = phase.moves() && matches!(self.within, Within::Error | Within::Lost | Within::Slowed);
+        let follows = detected.unwrap_or_default().min(detection).max(blind);
+        let [blind, follows] = [blind, follows].map(|time| (time + 4 * cell.period()).as_secs_f64());
+        let times = robot.axis.iter().zip(velocity).map(|(axis, speed)| speed.abs() / axis.max_acceleration);
+        let longest = times.fold(0.0, f64::max);
         let distance = |number: usize| {
             let speed = velocity[number].abs();
             let given = robot.axis.get(number)?;
-            let braking = speed * speed / (2.0 * given.max_acceleration);
+            // The axes search one by one.
+            let braking = match phase {
+                FaultPhase::Homing => speed * speed / (2.0 * given.max_acceleration),
+                _ => speed * longest / 2.0,
+            };
+            let blind = if is_of_error && number != axis { follows } else { blind };
             let lost = if number == axis && self.within == Within::Lost { LOST * given.following_error } else { 0.0 };
             let fall =
                 if self.within == Within::Fall { fall(given.following_error, given.max_acceleration) } else { 0.0 };

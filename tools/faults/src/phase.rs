@@ -4,6 +4,7 @@ use std::time::Duration;
 
 use controller::robot::Arm;
 use mrroc::cell::{Axis, CellFile};
+use mrroc::scenario::FaultNumbers;
 use servo::{MAX_AXES, Macrostep};
 
 use super::origin::Flaw;
@@ -102,13 +103,36 @@ impl Course {
         Self { ramp: step * steps, ..fast }
     }
 
+    /// The usual motion, which takes longer if the first motor is slow: behind the strike of a row of contact, the motor
+    /// still passes an obstacle, and comes late by its following error.
+    fn usual(file: &CellFile) -> Self {
+        let Self { ramp, cruise, speed, effort, .. } = Self::USUAL;
+        let Some(axis) = file.cell.robot.first().and_then(|robot| robot.axis.first()) else { return Self::USUAL };
+        let ramp = ramp.as_secs_f64();
+        let velocity = (speed * axis.max_velocity).min(effort * axis.max_acceleration * ramp);
+        let way = FaultNumbers::default().distance + 2.0 * axis.following_error;
+        let needed = (4.0 * (way / velocity - 0.5 * ramp)).clamp(cruise.as_secs_f64(), LONGEST_CRUISE);
+        // Whole macrosteps.
+        let step = file.cell.period() * u32::from(STEPS);
+        let steps = ((needed - cruise.as_secs_f64()) / step.as_secs_f64()).ceil() as u32;
+        Self { cruise: cruise + step * steps, ..Self::USUAL }
+    }
+
+    /// Time by which the motion takes longer than the usual motion at constant speed.
+    pub(super) fn longer(&self) -> Duration {
+        self.cruise.saturating_sub(Self::USUAL.cruise)
+    }
+
     pub(super) fn of(file: &CellFile, at_top_speed: bool) -> Self {
-        if at_top_speed { Self::fast(file) } else { Self::USUAL }
+        if at_top_speed { Self::fast(file) } else { Self::usual(file) }
     }
 }
 
 /// Longest ramp of a motion at top speed, s.
 const LONGEST_RAMP: f64 = 0.8;
+
+/// Longest time at constant speed, s.
+const LONGEST_CRUISE: f64 = 2.0;
 
 /// The fixed motion of a robot: all motors accelerate, move at constant speed and brake at the same times, away from
 /// the nearer end of their range.

@@ -82,7 +82,7 @@ impl Row {
         } else {
             velocity
         };
-        let bounds = case.bounds(file, axis, &speeds, phase);
+        let bounds = case.bounds(file, axis, &speeds, phase, seen.detected.map(|(at, _)| at));
         let mut reasons = Vec::new();
         let mut red = |reason: &str| reasons.push(reason.to_owned());
         let detector = seen.detected.and_then(|(_, fault)| Detector::of(&fault.cause));

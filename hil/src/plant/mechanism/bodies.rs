@@ -250,7 +250,7 @@ fn turn([w, x, y, z]: [f64; 4]) -> Result<Matrix3<f64>, f64> {
 }
 
 /// The tensor, without principal moments below zero, or the principal moments that no body has.
-fn inertia([xx, yy, zz, xy, xz, yz]: [f64; 6]) -> Result<Matrix3<f64>, [f64; 3]> {
+pub(super) fn inertia([xx, yy, zz, xy, xz, yz]: [f64; 6]) -> Result<Matrix3<f64>, [f64; 3]> {
     let tensor = Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz);
     let principal = SymmetricEigen::new(tensor);
     let mut moments: [f64; 3] = principal.eigenvalues.into();

@@ -1,8 +1,9 @@
-//! Coupled dynamics of a serial chain: torques from the velocities and from the accelerations of all axes.
+//! Coupled dynamics of links and motors: torques from the velocities and from the accelerations of all axes.
 //!
-//! With the matrix of inertia A, the motor angles θ and the torques τ of motors, friction and weight, Lagrange's equation
-//! reads `d/dt (A θ̇) = ½ ∇(θ̇ᵀ A θ̇) + τ`. Each drive advances its own motor, in sub-steps and in any order. The velocities
-//! of all motors are therefore common to the robot, and each sub-step of a motor is a motion of that motor alone:
+//! With the matrix of inertia A, the motor angles θ and the torques τ of motors, friction and weight, Lagrange's
+//! equation reads `d/dt (A θ̇) = ½ ∇(θ̇ᵀ A θ̇) + τ`. Each drive advances its own motor, in sub-steps and in any order.
+//! The velocities of all motors are therefore common to the robot, and each sub-step of a motor is a motion of that
+//! motor alone:
 //!
 //! * Its torque, times the sub-step, is an impulse that changes the velocities of all motors by its column of A⁻¹.
 //! * While it turns, A changes by ∂A/∂θᵢ θ̇ᵢ. The momenta A θ̇ of all other motors stay, and its own momentum changes by
@@ -22,8 +23,8 @@ use super::kinematics::Twist;
 use super::serial::{Placed, Pose, SerialChain};
 use crate::plant::SUB_STEP;
 
-type Square = SMatrix<f64, AXES, AXES>;
-type Column = SVector<f64, AXES>;
+pub(super) type Square = SMatrix<f64, AXES, AXES>;
+pub(super) type Column = SVector<f64, AXES>;
 
 /// Most sub-steps for which the quantities of a pose are held.
 const LONGEST: u32 = 10;
@@ -39,8 +40,12 @@ pub(super) struct Coupling {
     pub(super) velocities: Column,
     /// The inverse of the inertia matrix of the free axes, 1/(kg·m²). Zero for held axes.
     mobility: Square,
+    /// The inertia matrix of all axes, kg·m².
+    inertia: Square,
     /// Torque of the weight on each motor, N·m.
     weight: Column,
+    /// The links are in a pose that has no inertia of its own: the inertia of an earlier pose is held.
+    holds: bool,
     /// A column for each motor: accelerations of all motors, rad/s², because that motor turns.
     changes: Square,
     /// Motors for which these quantities are held.
@@ -55,7 +60,7 @@ pub(super) struct Coupling {
 
 /// Motors that turn while quantities are held.
 #[derive(Clone, Copy, Debug, PartialEq)]
-enum Turning {
+pub(super) enum Turning {
     /// All motors advance in turn, by one sub-step each.
     All,
     /// One motor advances by several sub-steps. The drives of all other motors are ahead or lag, so those stand still.
@@ -74,6 +79,7 @@ pub(in super::super) struct CoupledMotor {
 }
 
 /// Inertia of the motors and torques on the motors in one state.
+#[derive(Clone, Copy)]
 pub(super) struct Dynamics {
     /// Matrix of inertia, kg·m², with 1 on the diagonal for absent axes.
     pub(super) inertia: Square,
@@ -87,7 +93,9 @@ impl Coupling {
             free: [false; AXES],
             velocities: Column::zeros(),
             mobility: Square::zeros(),
+            inertia: Square::zeros(),
             weight: Column::zeros(),
+            holds: false,
             changes: Square::zeros(),
             turning: Turning::All,
             interval: 1,
@@ -122,6 +130,15 @@ impl Coupling {
         if since == motors { Turning::All } else { Turning::One(axis) }
     }
 
+    /// Share of the velocities that the motors keep when the links have an inertia of their own again. The kinetic
+    /// energy does not grow.
+    fn slowed_by(&self, inertia: &Square) -> f64 {
+        let energy = |inertia: &Square| self.velocities.dot(&(inertia * self.velocities));
+        let share = (energy(&self.inertia) / energy(inertia)).sqrt();
+        // Motors at rest have no share.
+        if share < 1.0 { share } else { 1.0 }
+    }
+
     /// Changes the velocity of one motor by an impulse on that motor, and the velocities of all other motors with it.
     pub(super) fn push(&mut self, axis: usize, change: f64) {
         let impulse = change / self.mobility[(axis, axis)];
@@ -129,14 +146,39 @@ impl Coupling {
     }
 }
 
-impl SerialChain {
+/// Links whose inertia couples their motors.
+pub(super) trait Coupled {
+    /// The links in one pose.
+    type Pose;
+
+    fn coupling(&self) -> &Coupling;
+
+    fn coupling_mut(&mut self) -> &mut Coupling;
+
+    /// Inertia of the rotors, kg·m².
+    fn rotors(&self) -> &[f64; AXES];
+
+    /// The links with the motors at these angles from home, rad. `None` if the links cannot take this pose.
+    fn pose_at(&self, motors: &[f64; AXES]) -> Option<Self::Pose>;
+
+    /// Speed of the fastest revolute joint while the motors turn at these velocities, rad/s.
+    fn fastest_turn(&self, velocities: &Column) -> f64;
+
+    fn dynamics(&self, pose: &Self::Pose) -> Dynamics;
+
+    /// A column for each motor: torques on all motors, N·m, because that motor turns while all motors have these
+    /// velocities, rad/s. The sum of the columns is the torque of the velocities (Coriolis and centrifugal).
+    fn impulses(&self, pose: &Self::Pose, velocities: &Column) -> Square;
+
+    fn attach(&mut self, payload: super::chain::Body);
+
     /// Begins a sub-step of one motor, with the motors at these angles from home, rad.
-    pub(super) fn begin(&mut self, axis: usize, motors: &[f64; AXES]) -> CoupledMotor {
-        let turning = self.coupling.advance(axis);
-        if self.coupling.turning != turning || self.coupling.age[axis] >= self.coupling.interval {
+    fn begin(&mut self, axis: usize, motors: &[f64; AXES]) -> CoupledMotor {
+        let turning = self.coupling_mut().advance(axis);
+        if self.coupling().turning != turning || self.coupling().age[axis] >= self.coupling().interval {
             self.evaluate(turning, motors);
         }
-        let coupling = &mut self.coupling;
+        let coupling = self.coupling_mut();
         coupling.age[axis] += 1;
         coupling.velocities += coupling.changes.column(axis) * SUB_STEP;
         CoupledMotor {
@@ -151,54 +193,115 @@ impl SerialChain {
     /// Angles are half a sub-step ahead of velocities, because each motor turns with its new velocity. The forces of n
     /// sub-steps act at the angles after 0 to n − 1 sub-steps. The velocities in their middle are those after n / 2.
     fn evaluate(&mut self, turning: Turning, motors: &[f64; AXES]) {
-        let Coupling { velocities, free, .. } = *self.coupling;
+        let Coupling { mut velocities, free, .. } = *self.coupling();
         let turns = Column::from_fn(|axis, _| match turning {
             Turning::All => f64::from(u8::from(free[axis])),
             Turning::One(one) => f64::from(u8::from(axis == one)),
         });
-        let rates = self.joint_rates(&velocities);
-        let revolute = rates.iter().zip(&self.bodies.links).filter(|(_, link)| !link.prismatic);
-        let fastest = revolute.map(|(rate, _)| rate.abs()).fold(0.0, f64::max);
+        let fastest = self.fastest_turn(&velocities);
         // The cast saturates.
         let interval = ((LARGEST_TURN / (fastest * SUB_STEP)) as u32).clamp(1, LONGEST);
         let angles_ahead = 0.5 * f64::from(interval - 1) * SUB_STEP;
         let velocities_ahead = 0.5 * f64::from(interval) * SUB_STEP;
         let middle = std::array::from_fn(|axis| motors[axis] + angles_ahead * velocities[axis] * turns[axis]);
-        let pose = self.pose(&self.joints(&middle));
+        let Some(pose) = self.pose_at(&middle) else {
+            self.hold(turning);
+            return;
+        };
         let Dynamics { inertia, weight } = self.dynamics(&pose);
+        if self.coupling().holds {
+            velocities *= self.coupling().slowed_by(&inertia);
+        }
         let mobility = inverse(&inertia, &free);
         let now = weight.component_mul(&turns) + self.impulses(&pose, &velocities) * turns;
         let later = velocities + mobility * now * velocities_ahead;
         let changes = mobility * self.impulses(&pose, &later);
-        let coupling = &mut self.coupling;
+        let coupling = self.coupling_mut();
         (coupling.mobility, coupling.weight, coupling.changes) = (mobility, weight, changes);
+        (coupling.velocities, coupling.inertia, coupling.holds) = (velocities, inertia, false);
         (coupling.turning, coupling.interval, coupling.age) = (turning, interval, [0; AXES]);
     }
 
-    /// Changes the payload. The payload was at rest before: the momentum of each motor is conserved.
-    pub(super) fn set_payload(&mut self, payload: super::chain::Body, motors: &[f64; AXES]) {
-        let inertia = |chain: &Self| chain.dynamics(&chain.pose(&chain.joints(motors))).inertia;
-        let momentum = inertia(self) * self.coupling.velocities;
-        self.payload = payload;
-        if momentum.norm_squared() > 0.0 {
-            self.coupling.velocities = inverse(&inertia(self), &self.coupling.free) * momentum;
+    /// Holds the inertia of the last pose in a pose that the links cannot take. Without an earlier pose, the motors
+    /// turn their rotors. The links have no weight, so that no energy arises.
+    fn hold(&mut self, turning: Turning) {
+        let rotors = *self.rotors();
+        let coupling = self.coupling_mut();
+        if coupling.inertia == Square::zeros() {
+            coupling.inertia = Square::from_diagonal(&Column::from(rotors));
         }
-        self.coupling.expire();
+        for axis in 0..AXES {
+            if coupling.free[axis] && coupling.mobility[(axis, axis)] == 0.0 {
+                coupling.mobility[(axis, axis)] = 1.0 / rotors[axis];
+            }
+        }
+        (coupling.changes, coupling.weight, coupling.holds) = (Square::zeros(), Column::zeros(), true);
+        (coupling.turning, coupling.interval, coupling.age) = (turning, LONGEST, [0; AXES]);
+    }
+
+    /// Changes the payload. The payload was at rest before: the momentum of each motor is conserved.
+    fn set_payload(&mut self, payload: super::chain::Body, motors: &[f64; AXES]) {
+        let inertia = |links: &Self| links.pose_at(motors).map(|pose| links.dynamics(&pose).inertia);
+        let momentum = inertia(self).map(|inertia| inertia * self.coupling().velocities);
+        self.attach(payload);
+        let moving = momentum.filter(|momentum| momentum.norm_squared() > 0.0);
+        if let Some((momentum, inertia)) = moving.zip(inertia(self)) {
+            self.coupling_mut().velocities = inverse(&inertia, &self.coupling().free) * momentum;
+        }
+        self.coupling_mut().expire();
     }
 
     /// Velocity change per impulse along torques on the motors, 1/(kg·m²), with all motors free.
-    pub(super) fn mobility(&self, motors: &[f64; AXES], torques: &[f64; AXES]) -> f64 {
-        let inertia = self.dynamics(&self.pose(&self.joints(motors))).inertia;
+    fn mobility(&self, motors: &[f64; AXES], torques: &[f64; AXES]) -> f64 {
         let torques = Column::from(*torques);
-        torques.dot(&(inverse(&inertia, &[true; AXES]) * torques))
+        let mobility = |pose| inverse(&self.dynamics(&pose).inertia, &[true; AXES]);
+        self.pose_at(motors).map_or(0.0, |pose| torques.dot(&(mobility(pose) * torques)))
     }
+}
 
+impl SerialChain {
     /// Velocities of the joints while the motors turn at these velocities, rad/s.
     pub(super) fn joint_rates(&self, velocities: &Column) -> [f64; AXES] {
         self.bodies.joints_from_motors.map(|row| row.iter().zip(velocities).map(|(it, rate)| it * rate).sum())
     }
 
-    pub(super) fn dynamics(&self, pose: &Pose) -> Dynamics {
+    /// Torques on the motors, N·m, of efforts at the joints, N·m or N.
+    fn at_motors(&self, efforts: &[f64; AXES]) -> Column {
+        let ratios = &self.bodies.joints_from_motors;
+        Column::from_fn(|motor, _| efforts.iter().zip(ratios).map(|(effort, row)| effort * row[motor]).sum())
+    }
+}
+
+impl Coupled for SerialChain {
+    type Pose = Pose;
+
+    fn coupling(&self) -> &Coupling {
+        &self.coupling
+    }
+
+    fn coupling_mut(&mut self) -> &mut Coupling {
+        &mut self.coupling
+    }
+
+    fn rotors(&self) -> &[f64; AXES] {
+        &self.bodies.rotors
+    }
+
+    fn pose_at(&self, motors: &[f64; AXES]) -> Option<Pose> {
+        Some(self.pose(&self.joints(motors)))
+    }
+
+    fn fastest_turn(&self, velocities: &Column) -> f64 {
+        let rates = self.joint_rates(velocities);
+        let revolute = rates.iter().zip(&self.bodies.links).filter(|(_, link)| !link.prismatic);
+        revolute.map(|(rate, _)| rate.abs()).fold(0.0, f64::max)
+    }
+
+    fn attach(&mut self, payload: super::chain::Body) {
+        self.payload = payload;
+    }
+
+    fn dynamics(&self, pose: &Pose) -> Dynamics {
         let count = self.axes();
         let mut joints = [[0.0; AXES]; AXES];
         let mut weights = [0.0; AXES];
@@ -225,9 +328,7 @@ impl SerialChain {
         Dynamics { inertia, weight: self.at_motors(&weights) }
     }
 
-    /// A column for each motor: torques on all motors, N·m, because that motor turns while all motors have these
-    /// velocities, rad/s. The sum of the columns is the torque of the velocities (Coriolis and centrifugal).
-    pub(super) fn impulses(&self, pose: &Pose, velocities: &Column) -> Square {
+    fn impulses(&self, pose: &Pose, velocities: &Column) -> Square {
         let count = self.axes();
         let rates = self.joint_rates(velocities);
         // Motion of each link's predecessor, and mass and momentum of all links from each link to the last one.
@@ -288,12 +389,6 @@ impl SerialChain {
             impulses[(motor, motor)] += 0.5 * slope.dot(velocities);
         }
         impulses
-    }
-
-    /// Torques on the motors, N·m, of efforts at the joints, N·m or N.
-    fn at_motors(&self, efforts: &[f64; AXES]) -> Column {
-        let ratios = &self.bodies.joints_from_motors;
-        Column::from_fn(|motor, _| efforts.iter().zip(ratios).map(|(effort, row)| effort * row[motor]).sum())
     }
 }
 

@@ -2,6 +2,7 @@
 
 pub(super) mod chains;
 mod coupled;
+mod linkage;
 
 use std::f64::consts::{FRAC_PI_2, TAU};
 
@@ -369,7 +370,7 @@ fn preset(config: &MechanismConfig, number: usize) -> Option<AxisConfig> {
         MechanismConfig::Irp6OnTrack => AxisConfig::irp6_track(number),
         MechanismConfig::Rnt { .. } => AxisConfig::rnt(number),
         MechanismConfig::Polycrank { .. } => AxisConfig::polycrank(number),
-        MechanismConfig::Chain(_) => None,
+        MechanismConfig::Chain(_) | MechanismConfig::Linkage(_) => None,
     }
 }
 

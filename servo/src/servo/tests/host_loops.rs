@@ -249,6 +249,34 @@ fn a_stop_after_an_overrun_begins_from_the_motion_measured() {
     }
 }
 
+/// After missed deadlines, the commands continue from the measured position. This step of the following error is no motion
+/// of the set-points: the loop of a motor that an obstacle holds keeps its power and brakes.
+#[test]
+fn a_motor_that_an_obstacle_holds_keeps_its_power_after_missed_deadlines() {
+    for config in laws(2) {
+        let mut rig = Rig::with(&config).stand();
+        rig.world().axes[1].blocked = true;
+        for _ in 0..150 {
+            rig.world().axes[1].ahead -= 0.002;
+            rig.run(1);
+        }
+        rig.run(20);
+        for mut step in accelerating(500.0, 10, 50) {
+            (step.position[1], step.velocity[1]) = (0.0, 0.0);
+            rig.order(Order::Move(step));
+        }
+        rig.run(150);
+        assert_eq!((rig.phase(), rig.cause()), (Phase::Moving, None));
+        rig.world().sent.clear();
+        rig.servo.missed(4);
+        rig.world().axes[0].state.position += 50.0 * 4.0 * DT;
+        rig.run_until(Phase::Faulted);
+        assert_eq!(rig.cause(), Some(StopCause::Overrun { missed: 4 }));
+        let powered = |axis: usize| rig.world().sent.iter().filter(|sent| sent[axis] != AxisCommand::Off).count();
+        assert!(powered(0) >= 45 && powered(1) == powered(0), "{} and {} cycles", powered(0), powered(1));
+    }
+}
+
 #[test]
 fn a_bus_that_refuses_its_batch_does_not_stop_the_loops_of_another() {
     let mut config = scripted::host_config(2);

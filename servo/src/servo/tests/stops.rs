@@ -130,6 +130,46 @@ fn a_blocked_motor_stops_the_effector() {
     keeps_limits(&rig.positions(0)).unwrap();
 }
 
+/// A motor that an obstacle slowed stands far behind its set-point until its power is off. Enabling takes its position as
+/// the set-point: this step of the following error is no motion of the set-points.
+#[test]
+fn a_motor_that_stood_behind_its_set_point_is_enabled_again_without_a_fault() {
+    for fails in [true, false] {
+        let mut rig = Rig::standing(2);
+        rig.accelerate(500.0, 2, 50);
+        rig.run(20);
+        rig.world().axes[1].runs_at = Some(2.0);
+        if fails {
+            rig.run_until(Phase::Stopping);
+            assert!(matches!(rig.cause(), Some(StopCause::FollowingError { .. })), "{:?}", rig.cause());
+        } else {
+            rig.run(45);
+            rig.order(Order::Disable);
+        }
+        rig.world().axes[1].runs_at = None;
+        rig.world().axes[1].blocked = true;
+        rig.run_until(if fails { Phase::Faulted } else { Phase::Off });
+        rig.world().axes[1].blocked = false;
+        if fails {
+            rig.order(Order::ResetFault);
+            rig.run_until(Phase::Off);
+            rig.world().axes[1].state.homing = Homing::Attained;
+        }
+        rig.order(Order::Enable);
+        rig.run(50);
+        assert_eq!((rig.phase(), rig.cause()), (Phase::Standing, None), "{fails}");
+        // The watch begins anew.
+        let at = rig.world().axes[1].state.position;
+        rig.world().axes[1].blocked = true;
+        let here = rig.world().axes[0].state.position;
+        let mut step = macrostep(900, 100, here, 0.0);
+        (step.position[1], step.velocity[1]) = (at + 1.0, 20.0);
+        rig.order(Order::Move(step));
+        rig.run(200);
+        assert!(matches!(rig.cause(), Some(StopCause::Frozen { .. })), "{:?}", rig.cause());
+    }
+}
+
 /// The torque of a motor, its limit, N·m, and whether the drive reports a limit.
 fn load(rig: &Rig, axis: usize, torque: f64, torque_limit: f64, torque_limited: bool) {
     let state = &mut rig.world().axes[axis].state;

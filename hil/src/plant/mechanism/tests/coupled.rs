@@ -2,28 +2,35 @@
 
 use nalgebra::DVector;
 
+use super::super::coupling::Coupled;
 use super::super::serial::SerialChain;
-use super::super::{Body, ChainBodyJoint, Links, Mechanism, MechanismConfig};
+use super::super::{Body, ChainBodyJoint, Mechanism, MechanismConfig};
 use super::chains::{Arm, HINGE};
 use super::{G, smooth};
 use crate::plant::{AxisConfig, Demand, Noise, NominalJoint, PlantAxis, SUB_STEP};
 
 /// A motor without friction, switches and buffers.
-fn motor() -> AxisConfig {
+pub(super) fn motor() -> AxisConfig {
     let config = AxisConfig::polycrank(0).expect("it has the axis");
     AxisConfig { start_angle: 0.0, ..smooth(config, |motor| motor.end_stops = None) }
 }
 
 /// Motors of an arm, which begin at rest at these angles.
-struct Swing {
+pub(super) struct Swing {
     arm: Arm,
     mechanism: Mechanism,
     axes: Vec<PlantAxis>,
 }
 
 impl Swing {
-    fn new(arm: Arm, motors: &[f64]) -> Self {
-        let mechanism = Mechanism::new(arm.config());
+    pub(super) fn new(arm: Arm, motors: &[f64]) -> Self {
+        let config = arm.config();
+        Self::of(arm, config, motors)
+    }
+
+    /// The mechanism `config` describes the same arm.
+    pub(super) fn of(arm: Arm, config: MechanismConfig, motors: &[f64]) -> Self {
+        let mechanism = Mechanism::new(config);
         mechanism.set_payload(arm.payload.0, arm.payload.1);
         let axes = motors.iter().enumerate().map(|(number, &start_angle)| {
             let mount = mechanism.mount(number, 0.0);
@@ -37,14 +44,14 @@ impl Swing {
         self.axes.iter_mut().for_each(|axis| axis.advance(steps, Demand::Off));
     }
 
-    fn motors(&self) -> Vec<f64> {
+    pub(super) fn motors(&self) -> Vec<f64> {
         self.axes.iter().map(PlantAxis::angle).collect()
     }
 
     fn velocities(&self) -> DVector<f64> {
-        let robot = self.mechanism.lock();
-        let Links::Chain(chain) = &robot.links else { unreachable!("a chain") };
-        DVector::from_iterator(self.axes.len(), chain.coupling.velocities.iter().copied().take(self.axes.len()))
+        let mut robot = self.mechanism.lock();
+        let coupling = robot.links.coupling().expect("coupled motors");
+        DVector::from_iterator(self.axes.len(), coupling.velocities.iter().copied().take(self.axes.len()))
     }
 
     fn momenta(&self) -> DVector<f64> {
@@ -57,7 +64,7 @@ impl Swing {
     }
 
     /// Greatest kinetic energy, and greatest deviation of the energy from its value at the beginning, J.
-    fn drift(&mut self, seconds: f64, steps: u32) -> (f64, f64) {
+    pub(super) fn drift(&mut self, seconds: f64, steps: u32) -> (f64, f64) {
         let start = self.energies();
         let (mut most, mut off) = (0.0_f64, 0.0_f64);
         for k in 0..(seconds / (f64::from(steps) * SUB_STEP)) as u32 {
