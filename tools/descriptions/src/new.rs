@@ -13,6 +13,7 @@ use anyhow::{Context as _, ensure};
 use clap::Args;
 use controller::robot::LinkKind;
 use mrroc::cell::{DescribedJoint, DescribedRobot, read_urdf};
+use mrroc::report::counted;
 
 /// Velocity of a nominal motor at the greatest velocity of its joint, rad/s.
 const MOTOR: f64 = 300.0;
@@ -61,7 +62,8 @@ pub fn new(options: &Options) -> anyhow::Result<String> {
     let mut file = File::create_new(&options.cell).with_context(|| options.cell.display().to_string())?;
     file.write_all(text.as_bytes()).with_context(|| options.cell.display().to_string())?;
     let name = options.cell.display();
-    let mut said = format!("{name}: {count} joints from {:?} to {:?} of {shown}\n", described.base, described.flange);
+    let mut said =
+        format!("{name}: {} from {:?} to {:?} of {shown}\n", counted(count, "joint"), described.base, described.flange);
     if !described.left_out.is_empty() {
         let _ = writeln!(said, "left out, since they are beside this way: {}", described.left_out.join(", "));
     }
