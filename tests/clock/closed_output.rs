@@ -5,7 +5,7 @@ use kit::mrroc::{Directory, shorten};
 use kit::processors;
 
 #[test]
-fn a_measurement_is_an_error_where_nobody_reads_what_it_prints() {
+fn a_measurement_that_nobody_reads_is_an_error() {
     let _share = processors::take(0.3);
     let directory = Directory::new();
     let cell = directory.cell("irb6", shorten);

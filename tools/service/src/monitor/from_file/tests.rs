@@ -60,7 +60,7 @@ fn a_log_of_a_colleague_is_decoded_as_on_the_bus_and_its_other_lines_are_counted
         counts,
         [
             "8 frames in 13 lines",
-            "1 CAN FD or CAN XL frames are not decoded",
+            "1 CAN FD or CAN XL frame is not decoded",
             "1 error frame",
             "3 frames were lost while the log was written (DROPCOUNT)",
             "2 lines skipped, the first is line 1: expected a time such as (1795242630.522011)",
