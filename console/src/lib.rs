@@ -14,8 +14,8 @@
 //!
 //! This program has every command, and `run CELL --task wave` and `check CELL --task wave` beside the built-in tasks.
 //!
-//! Exit status: 0 done; 1 stopped by a fault or on request, a file of a run is incomplete, or a node did not obey a
-//! command; 2 refused before any motion, or no answer.
+//! Exit status: 0 done; 1 stopped by a fault or on request, a file of a run is incomplete, a node did not obey a command,
+//! or the answer found no reader; 2 refused before any motion, or no answer.
 
 #![deny(clippy::print_stdout, clippy::print_stderr)]
 
@@ -41,8 +41,8 @@ use mrroc::{Extension, signals, streams, tasks::TaskOptions};
 use serde::Serialize;
 
 /// Exit status in the help text: scripts may rely on it.
-const EXIT_STATUS: &str = "Exit status: 0 done; 1 stopped by a fault or by a signal such as Ctrl-C, a file of a run is incomplete, or a node \
-was told and did not do it; 2 refused before anything moved, aborted by the node, no answer, or no bus.";
+const EXIT_STATUS: &str = "Exit status: 0 done; 1 stopped by a fault or by a signal such as Ctrl-C, a file of a run is incomplete, a node \
+was told and did not do it, or the reader of the output closed it before the answer; 2 refused before anything moved, aborted by the node, no answer, or no bus.";
 
 /// A multi-robot research-oriented controller with its hardware in the loop.
 #[derive(Parser)]
@@ -204,7 +204,10 @@ pub fn main(extension: &Extension) -> ExitCode {
         Err(error) => return usage::answer(&error),
     };
     let blocked = signals::block_signals_of_writes();
+    // A run itself says how it ended if its report is lost, and an emulation has no answer.
+    let answers = !matches!(arguments.command, Command::Run { .. } | Command::Emulate(_));
     let result = blocked.and_then(|()| answer(arguments.command, extension));
+    let result = result.map(|status| if answers { streams::exit_status(status) } else { status });
     result.unwrap_or_else(|refusal| {
         if refusal.is::<service::Interrupted>() {
             return ExitCode::from(1);

@@ -36,6 +36,7 @@ mod tests;
 
 use std::fmt;
 
+use can::counted;
 use servo::MAX_AXES;
 use thiserror::Error;
 
@@ -153,9 +154,9 @@ pub enum TrajectoryFileProblem {
     Ended { pose: usize, row: PoseRow },
     #[error("the file ends before its first three lines: coordinates, number of poses, ABSOLUTE or RELATIVE")]
     NoHead,
-    #[error("{columns} columns, supported are 1 to {max}")]
+    #[error("{}, supported are 1 to {max}", counted(*.columns, "column"))]
     TooWide { columns: usize, max: usize },
-    #[error("{columns} columns, and the coordinates of the first pose have {expected}")]
+    #[error("{}, and the coordinates of the first pose have {expected}", counted(*.columns, "column"))]
     Ragged { columns: usize, expected: usize },
     #[error("column {column} must be a finite number")]
     Number { column: usize },
@@ -167,7 +168,11 @@ pub enum TrajectoryFileProblem {
 #[derive(Clone, Debug, PartialEq, Error)]
 #[expect(missing_docs, reason = "every field is in the message")]
 pub enum TrajectoryError {
-    #[error("poses have {columns} columns, and the robot has {axes} axes: the file belongs to another robot")]
+    #[error(
+        "poses have {}, and the robot has {}: the file belongs to another robot",
+        counted(*.columns, "column"),
+        counted(*.axes, "axis")
+    )]
     OtherRobot { columns: usize, axes: usize },
     #[error(
         "poses of the tool ({}) cannot be executed: convert them to JOINT by `mrroc kinematics convert`",

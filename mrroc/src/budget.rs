@@ -14,6 +14,7 @@ use serial::ati;
 
 use crate::bench::{emulation, traffic::further};
 use crate::cell::{CellFile, Device, ForceSensor, Path, Protocol, Ultrasonic};
+use crate::report::counted;
 use crate::setup;
 
 /// Budget of one bus.
@@ -363,7 +364,7 @@ fn nodes(axes: usize, io: usize, sensors: usize) -> String {
         _ => Some(format!("{count} {many}")),
     };
     let beside = [count(io, "an I/O node", "I/O nodes"), count(sensors, "a force sensor", "force sensors")];
-    let axes = (axes > 0 || beside.iter().all(Option::is_none)).then(|| format!("{axes} axes"));
+    let axes = (axes > 0 || beside.iter().all(Option::is_none)).then(|| counted(axes, "axis"));
     [axes].into_iter().chain(beside).flatten().collect::<Vec<_>>().join(" and ")
 }
 
@@ -386,7 +387,7 @@ fn what_fits(bitrate: Bitrate, period: Duration, messages: &[Message], axes: &[A
         messages.iter().filter(kept).copied().collect()
     };
     let most = (1..axes.len()).rev().find(|&count| fits(&without(count), period));
-    let axes = most.map(|most| if most == 1 { "1 axis would fit".into() } else { format!("{most} axes would fit") });
+    let axes = most.map(|most| counted(most, "axis") + " would fit");
     let shortest = (1..=1000).map(Duration::from_millis).find(|&period| fits(messages, period));
     let period = shortest.map(|period| format!("a period of {} ms", period.as_millis()));
     let proposals: Vec<_> = axes.into_iter().chain(period).chain(["more buses".to_owned()]).collect();

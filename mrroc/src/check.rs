@@ -13,7 +13,7 @@ use crate::bench::{BenchKind, emulated_lines, emulated_sensors};
 use crate::budget::{self, Bundle, BusBudget, MessageBudget, SensorBudget};
 use crate::cell::{CellFile, IoNode, Parameters, printable};
 use crate::rehearsal::{self, Rehearsed};
-use crate::report::ConfigurationReport;
+use crate::report::{ConfigurationReport, counted};
 use crate::{run::RunningTask, setup, tasks::Program};
 
 /// The result of a successful check.
@@ -163,7 +163,8 @@ fn configurations(file: &CellFile, robot: usize) -> Vec<ConfigurationReport> {
 impl fmt::Display for CheckReport {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         for robot in &self.robots {
-            writeln!(f, "robot {}: {} axes, {} instructions", robot.name, robot.axes, robot.instructions)?;
+            let (axes, instructions) = (counted(robot.axes, "axis"), counted(robot.instructions, "instruction"));
+            writeln!(f, "robot {}: {axes}, {instructions}", robot.name)?;
             for said in &robot.chain {
                 writeln!(f, "  {said}")?;
             }

@@ -81,4 +81,26 @@ mod tests {
         assert_eq!(taken(|| order.rest()), [(0, 850, 7), (1, 900, 6), (0, 1000, 3)]);
         assert_eq!(taken(|| order.rest()), []);
     }
+
+    #[test]
+    fn a_step_of_the_clock_by_40_ms_within_a_bus_leaves_no_step_backwards_in_the_log() {
+        let mut order = FrameOrder::default();
+        let mut log = Vec::new();
+        // Two buses whose frames come every 2 ms. The clock is set back by 40 ms after 1 s, and forward again after 2 s.
+        for turn in 0..1500_u64 {
+            let steps = 40 * u64::from((500..1000).contains(&turn));
+            for bus in [0, 1] {
+                order.push(bus, frame(2 * turn + 100 - steps, turn as u8));
+            }
+            log.extend(taken(|| order.next()));
+        }
+        log.extend(taken(|| order.rest()));
+        assert_eq!(log.len(), 3000);
+        assert!(log.is_sorted_by_key(|&(_, millis, _)| millis));
+        // The frames keep their own times: those of 40 ms after the step are among those of 40 ms before.
+        let times = log.iter().filter(|(bus, ..)| *bus == 0).map(|&(_, millis, _)| millis);
+        let times: Vec<_> = times.collect();
+        assert_eq!(times.windows(2).filter(|pair| pair[0] == pair[1]).count(), 20);
+        assert!(times.windows(3).all(|times| times[0] < times[2]), "a frame has the time of another one");
+    }
 }

@@ -20,7 +20,7 @@ const LARGEST_TRAJECTORY: usize = 64 << 20;
 
 /// A pose or a velocity has another number of joints than the robot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{given} joints are given, and the robot has {axes}")]
+#[error("{} given, and the robot has {axes}", can::counted_as(*.given, "joint is", "joints are"))]
 pub struct PoseSize {
     /// Number of joints that are given.
     pub given: usize,

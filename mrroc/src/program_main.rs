@@ -92,7 +92,7 @@ pub fn run_program(file: &CellFile, options: &ProgramOptions, program: &Program)
     let report = report?;
     let lost = match streams::answered(&report, options.json) {
         Ok(true) => None,
-        Ok(false) => Some("standard output is closed".to_owned()),
+        Ok(false) => Some(streams::CLOSED.to_owned()),
         // A refusal is too late, because everything has moved.
         Err(error) => Some(format!("{error:#}")),
     };

@@ -1,5 +1,6 @@
-//! Standard output and standard error. All output passes through this module. A closed reader, such as `head`, is no
-//! error, whereas `println!` would panic.
+//! Standard output and standard error. All output passes through this module. A reader that closes the output, such as
+//! `head`, ends no command early, whereas `println!` would panic. The command completes its work, and then
+//! [`exit_status`] reports the loss.
 //!
 //! Lines may contain foreign names and texts: of interfaces, of nodes, of files. A control character in such a text
 //! has no effect on the terminal and is shown as `\u001b`, which is also valid in JSON.
@@ -7,9 +8,16 @@
 use std::fmt::Display;
 use std::io::{ErrorKind, Write as _, stderr, stdout};
 use std::process::ExitCode;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::Context;
 use serde::Serialize;
+
+/// What is said of an answer whose reader has closed standard output.
+pub(crate) const CLOSED: &str = "standard output is closed";
+
+/// Whether the reader of standard output closed it before the last byte. Standard output is one per process.
+static LOST: AtomicBool = AtomicBool::new(false);
 
 /// Prints a text without a line end.
 pub fn print(text: impl Display) -> anyhow::Result<ExitCode> {
@@ -21,12 +29,22 @@ pub fn say(line: impl Display) -> anyhow::Result<bool> {
     write(format_args!("{}\n", plain(line)))
 }
 
+/// The exit status of a command: 1 in place of 0, and a message, if the reader of standard output closed it before the
+/// whole answer was printed.
+pub fn exit_status(status: ExitCode) -> ExitCode {
+    if !LOST.load(Ordering::Relaxed) {
+        return status;
+    }
+    warn(format_args!("mrroc: the answer cannot be printed: {CLOSED}"));
+    if status == ExitCode::SUCCESS { ExitCode::from(1) } else { status }
+}
+
 /// Prints an answer as text, or as one JSON object in one line.
 pub fn answer(answer: &(impl Serialize + Display), json: bool) -> anyhow::Result<ExitCode> {
     answered(answer, json).map(|_| ExitCode::SUCCESS)
 }
 
-/// As [`answer`], and returns whether the reader was still open: where the answer cannot be had again, its loss is an error.
+/// As [`answer`], and returns whether the reader was still open.
 pub fn answered(answer: &(impl Serialize + Display), json: bool) -> anyhow::Result<bool> {
     let text = if json { serde_json::to_string(answer)? } else { answer.to_string() };
     say(text.trim_end_matches('\n'))
@@ -58,7 +76,10 @@ pub fn refuse(refusal: &anyhow::Error) {
 fn write(text: impl Display) -> anyhow::Result<bool> {
     match stdout().write_fmt(format_args!("{text}")) {
         Ok(()) => Ok(true),
-        Err(error) if error.kind() == ErrorKind::BrokenPipe => Ok(false),
+        Err(error) if error.kind() == ErrorKind::BrokenPipe => {
+            LOST.store(true, Ordering::Relaxed);
+            Ok(false)
+        }
         Err(error) => Err(error).context("standard output"),
     }
 }

@@ -276,12 +276,20 @@ pub enum StopCause {
     #[error("{contact}")]
     EmergencyStop { group: u8, contact: EmergencyStop },
     /// More deadlines in a row were missed than the cell permits.
-    #[error("{missed} cycles in a row missed their deadline")]
+    #[error("{}", missed_in_row(*.missed))]
     Overrun { missed: u32 },
     /// More than a quarter of the deadlines were missed, among the last 1000 or 16 times the number that the cell permits in
     /// a row.
     #[error("{missed} of {deadlines} cycles missed their deadlines")]
     Overloaded { missed: u32, deadlines: u32 },
+}
+
+/// What is said of deadlines that were missed in a row.
+fn missed_in_row(count: u32) -> String {
+    match count {
+        1 => "1 cycle missed its deadline".to_owned(),
+        _ => format!("{count} cycles in a row missed their deadline"),
+    }
 }
 
 impl StopCause {

@@ -1,15 +1,15 @@
-//! A reader that closes the output early does not make a measurement or an examination of the host fail.
+//! A reader that closes the output before the answer makes a measurement or an examination of the host fail.
 
-use kit::closed_output::ends_as_ever;
+use kit::closed_output::is_an_error;
 use kit::mrroc::{Directory, shorten};
 use kit::processors;
 
 #[test]
-fn a_measurement_ends_as_ever_where_nobody_reads_what_it_prints() {
+fn a_measurement_that_nobody_reads_is_an_error() {
     let _share = processors::take(0.3);
     let directory = Directory::new();
     let cell = directory.cell("irb6", shorten);
-    ends_as_ever(&[
+    is_an_error(&[
         ("doctor", Some(cell.as_os_str())),
         ("doctor --json", Some(cell.as_os_str())),
         ("jitter --duration=1s", None),

@@ -157,7 +157,7 @@ fn check(bench: &str, log: &Path, run: &Output, exchange: &[(&str, u64)]) {
 /// Runs `cell` with output files under strace.
 fn run(directory: &Directory, cell: &Path, more: &[&str]) -> (PathBuf, Output) {
     let log = directory.path("calls");
-    let [record, trace] = ["states.csv", "trace.log"].map(|name| directory.path(name));
+    let record = directory.path("states.csv");
     let arguments = [
         "run".as_ref(),
         cell.as_os_str(),
@@ -165,8 +165,6 @@ fn run(directory: &Directory, cell: &Path, more: &[&str]) -> (PathBuf, Output) {
         "--force".as_ref(),
         "--record".as_ref(),
         record.as_os_str(),
-        "--trace".as_ref(),
-        trace.as_os_str(),
     ];
     let arguments = arguments.into_iter().chain(more.iter().map(AsRef::as_ref));
     let output = Running::under_strace(&log, mrroc::binary(), arguments).output();
@@ -183,7 +181,8 @@ fn a_cycle_on_an_emulated_bus_makes_no_call_but_the_wait() {
             cell.realtime.wait = wait;
         });
         by_the_clock(PROCESSORS, PERIOD, || {
-            let (log, output) = run(&directory, &cell, &[]);
+            let (log, output) =
+                run(&directory, &cell, &[&format!("--trace={}", directory.path("trace.log").display())]);
             check(name, &log, &output, &[]);
         });
     }

@@ -409,7 +409,7 @@ fn report_and_page_of_a_run_say_what_a_dcf_asks_for_and_what_is_flawed_in_it() {
     }
     assert!(of_axis["warnings"][0].as_str().unwrap().ends_with(&flaw), "{of_axis}");
     let asked = "motor.dcf asks for 1 write and notes 1 value more; 1 read-only value is compared with the drive";
-    for said in [asked, &flaw, "1 of 1 read-only values differ from the device configuration file"] {
+    for said in [asked, &flaw, "1 of 1 read-only value differs from the device configuration file"] {
         assert!(page.contains(said), "{said}: {page}");
     }
     let (printed, _) = run(false);

@@ -20,6 +20,8 @@ fn the_pages_and_figures_of_the_robots_are_what_the_parameters_give() {
                 words.join(" ")
             );
             assert!(!kept.contains("NaN") && !kept.contains("inf,"), "{name}");
+            let of_fractions = "are fractions of 1.5 rad/s and 7 rad/s² (1.5 m/s and 7 m/s² of a linear joint)";
+            assert_eq!(kept.contains(of_fractions), ending == "md", "{name}");
             let (told, _) = kept.split_once("## Loop").unwrap_or((&kept, ""));
             let rows = told.lines().filter(|line| line.starts_with("| "));
             for row in rows.filter(|row| !row.ends_with("| source |")) {

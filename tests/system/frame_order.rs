@@ -4,6 +4,7 @@ use std::fs;
 use std::path::Path;
 
 use kit::mrroc::{Directory, example, mrroc};
+use kit::refusals::refused;
 
 /// Times of a log, s, and the number of interfaces in it.
 fn times(path: &Path) -> (Vec<f64>, usize) {
@@ -32,6 +33,16 @@ fn logs_of_a_cell_with_several_buses_are_in_the_order_of_time() {
         counts.push(times.len());
     }
     assert!(counts[0] > 1000 && counts[0] == counts[1], "no frame is left out: {counts:?}");
+}
+
+#[test]
+fn a_trace_of_a_cell_without_a_can_bus_is_refused_with_the_option_that_keeps_telegrams() {
+    let directory = Directory::new();
+    let (cell, trace) = (example("irb6-serial"), directory.path("trace.log"));
+    let [cell, trace_to] = [&cell, &trace].map(|path| path.to_str().unwrap());
+    let run = mrroc(["run", cell, "--task=home", "--bench=lockstep", "--trace", trace_to]);
+    refused(&run, &["--trace writes the frames of CAN buses, and the cell has none", "--record FILE.mcap"]);
+    assert!(!trace.exists());
 }
 
 #[test]

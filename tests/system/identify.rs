@@ -4,7 +4,7 @@ use std::f64::consts::TAU;
 use std::fs;
 use std::os::unix::fs::symlink;
 use std::path::Path;
-use std::process::Command;
+use std::process::{Command, Stdio};
 
 use ::mrroc::cell::DriveControl;
 use hil::plant::SUB_STEP;
@@ -167,6 +167,41 @@ fn what_cannot_be_measured_is_refused_before_anything_moves() {
     for (arguments, needles) in cases {
         refused(&identify(&example("irb6"), arguments), needles);
     }
+}
+
+#[test]
+fn a_node_that_never_boots_is_told_with_those_that_were_heard() {
+    let directories = [Directory::new(), Directory::new()];
+    for (directory, absent, said) in [
+        (
+            &directories[0],
+            2..3,
+            "axis upper-arm: node 3: never booted, waited 2.0s: heard on the bus: nodes 1, 2, 4 and 5",
+        ),
+        (&directories[1], 0..5, "never booted, waited 2.0s: nothing at all is heard on bus arm: wrong bit rate"),
+    ] {
+        let cell = directory.cell("irb6", |cell| {
+            cell.robot[0].axis[absent.clone()].iter_mut().for_each(|axis| axis.emulator.absent = true);
+        });
+        refused(&identify(&cell, &["--axis", "column"]), &["bus arm", said]);
+    }
+}
+
+#[test]
+fn a_report_that_nobody_reads_is_an_error_of_the_measurement() {
+    let mut run = Command::new(mrroc::binary())
+        .arg("identify")
+        .arg(example("irb6"))
+        .args(["--axis", "column"])
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    drop(run.stdout.take());
+    let ended = run.wait_with_output().unwrap();
+    let said = String::from_utf8_lossy(&ended.stderr);
+    assert_eq!(ended.status.code(), Some(1), "{said}");
+    assert!(said.contains("the answer cannot be printed: standard output is closed"), "{said}");
 }
 
 /// The disk may be full after the axis has moved.

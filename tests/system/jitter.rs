@@ -33,6 +33,15 @@ fn what_is_no_cell_to_measure_is_refused() {
 }
 
 #[test]
+fn a_node_that_never_boots_is_told_with_those_that_were_heard() {
+    let directory = Directory::new();
+    let cell = directory.cell("irb6", |cell| cell.robot[0].axis[2].emulator.absent = true);
+    let said = "axis upper-arm: node 3: never booted, waited 2.0s: heard on the bus: nodes 1, 2, 4 and 5";
+    let words = ["jitter".as_ref(), "--duration=1s".as_ref(), "--cell".as_ref(), cell.as_os_str()];
+    refused(&mrroc(words), &["bus arm", said]);
+}
+
+#[test]
 fn what_cannot_be_measured_is_refused() {
     for (arguments, needles) in [
         (["--period", "0ms"], ["--period", "50us and 1s"]),

@@ -301,6 +301,44 @@ fn a_singular_pose_as_it_is_printed_is_answered_near_the_posture() {
 }
 
 #[test]
+fn an_answer_near_a_singular_posture_says_so_and_what_to_do() {
+    // The joint that the pose does not determine, counted from 0.
+    for (robot, joints, axis) in [
+        ("irp6", "0.3,-1.4,0.1,0.2,0,0.5", 3),
+        ("irp6-track", "0.4,0.3,-1.4,0.1,0.2,0,0.5", 4),
+        ("rnt", "0.1,0.05,0.95,0.7,0,0.2", 3),
+    ] {
+        let pose = answer(&format!("fk --robot {robot} --joints={joints}"));
+        for digits in [4, 6, 9] {
+            let rounded = |name: &str| {
+                let numbers = numbers(&pose[name]).into_iter().map(|number| format!("{number:.digits$}"));
+                numbers.collect::<Vec<_>>().join(",")
+            };
+            let pose = format!("--position={} --quaternion={}", rounded("position"), rounded("quaternion"));
+            let words = format!("ik --robot {robot} {pose} --near={joints}");
+            let found = answer(&words);
+            let notes = found["notes"].to_string();
+            let open = format!("does not determine axis {axis}");
+            assert!(notes.contains(&open), "{robot}, {digits} digits: {found}");
+            let what_to_do = "give positions and orientations with nine digits, or move the joints";
+            assert_eq!(notes.contains(what_to_do), digits < 9, "{robot}, {digits} digits: {found}");
+            assert_eq!(notes.contains("is that of --near"), digits == 9, "{robot}, {digits} digits: {found}");
+            assert!(ask(&words).stdout.contains(&open), "{robot}");
+        }
+    }
+    // No note beside a posture that the pose determines.
+    for (robot, joints) in [("irp6", "0.3,-1.4,0.1,0.2,0.5,0.5"), ("irb6", "0.3,-1.4,0.1,0.2,0.5"), ("gripper", "0.08")]
+    {
+        let pose = answer(&format!("fk --robot {robot} --joints={joints}"));
+        let words = ["position", "quaternion"].map(|name| list(&numbers(&pose[name])));
+        let [position, quaternion] = words;
+        let found =
+            answer(&format!("ik --robot {robot} --position={position} --quaternion={quaternion} --near={joints}"));
+        assert!(!found["notes"].to_string().contains("singular"), "{found}");
+    }
+}
+
+#[test]
 fn a_quaternion_of_few_digits_is_normalised() {
     let of = |quaternion| {
         let words = format!("ik --robot rnt --position 0.1,0.1,1.1 --quaternion {quaternion}");

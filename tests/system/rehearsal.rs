@@ -161,5 +161,11 @@ fn check_states_the_time_with_the_scene_and_refuses_the_option_without_one() {
     assert!(with_homing > after_homing + 0.5, "{with_homing} s, {after_homing} s");
     let printed = check(&free, false);
     assert!(printed.stdout.contains("rehearsed with the scene: "), "{printed:?}");
-    refused(&check(&example("irb6"), false), &["--rehearse-with-scene needs a scene"]);
+    let said =
+        "--rehearse-with-scene needs a scene, and the cell has no table [scene]: add one, or leave the option out";
+    for command in ["check", "run"] {
+        let cell = example("irb6");
+        let words = [command.as_ref(), cell.as_os_str(), "--rehearse-with-scene".as_ref()];
+        refused(&mrroc(words.into_iter().chain((command == "run").then_some("--bench=lockstep".as_ref()))), &[said]);
+    }
 }

@@ -26,8 +26,8 @@ fn a_candump_log_is_shown_without_a_bus() {
     assert_eq!(shown.status.code(), Some(0), "{shown:?}");
     assert_eq!(shown.stdout, "    0.000000  can7    000#0105              start, node 5\n");
     let [frames, skipped] = shown.stderr.lines().collect::<Vec<_>>()[..] else { panic!("{shown:?}") };
-    assert!(frames.ends_with("colleague.log: 1 frames in 2 lines"), "{shown:?}");
-    assert!(skipped.contains("1 lines skipped, the first is line 2"), "{shown:?}");
+    assert!(frames.ends_with("colleague.log: 1 frame in 2 lines"), "{shown:?}");
+    assert!(skipped.contains("1 line skipped, the first is line 2"), "{shown:?}");
     let empty = directory.write("empty.log", "no frame\n");
     let refused = mrroc(["monitor".as_ref(), "--from".as_ref(), empty.as_os_str()]);
     assert_eq!(refused.status.code(), Some(2), "{refused:?}");

@@ -243,8 +243,32 @@ fn what_a_replay_ignores_of_its_file_is_told_once() {
     directory.write("spare.trj", &spare);
     let run = mrroc(arguments(&cell(&directory, "file = 'spare.trj'"), "replay", &["--bench=lockstep"]));
     assert_eq!(run.status.code(), Some(0), "{run:?}");
-    let told = "spare.trj: lines from 8 on (1) are ignored: they are behind the 1 poses of line 2";
+    let told = "spare.trj: lines from 8 on (1) are ignored: they are behind the 1 pose of line 2";
     assert_eq!(run.stderr.matches(told).count(), 1, "{run:?}");
+}
+
+#[test]
+fn a_conversion_near_a_singular_posture_is_told() {
+    let directory = Directory::new();
+    // The hand axis of the IRp-6 is normal to the plane of its arm.
+    let near = "0.3,-1.4,0.1,0.2,0,0.5";
+    let pose = mrroc(["kinematics", "fk", "--robot", "irp6", "--json", "--joints", near]).json();
+    let numbers = |name: &str| -> Vec<f64> {
+        pose[name].as_array().unwrap().iter().map(|number| number.as_f64().unwrap()).collect()
+    };
+    let quaternion = numbers("quaternion");
+    let half = quaternion[0].acos();
+    let turn = quaternion[1..].iter().map(|part| part * 2.0 * half / half.sin());
+    let row = numbers("position").into_iter().chain(turn).map(|number| format!("{number:.6}"));
+    let row = row.collect::<Vec<_>>().join(" ");
+    let text = format!("XYZ_ANGLE_AXIS\n1\nABSOLUTE\n.1 .1 .1 .1 .1 .1\n.1 .1 .1 .1 .1 .1\n{row}\n");
+    let file = directory.write("tool.trj", &text);
+    let convert = ["kinematics", "convert", "--robot", "irp6", "--near", near];
+    let converted = mrroc(convert.map(AsRef::as_ref).into_iter().chain([file.as_os_str()]));
+    assert_eq!(converted.status.code(), Some(0), "{converted:?}");
+    for said in ["tool.trj: pose 1 is ", "beside a singular posture", "does not determine axis 3"] {
+        assert!(converted.stderr.contains(said), "{converted:?}");
+    }
 }
 
 #[test]

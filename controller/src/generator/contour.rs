@@ -112,7 +112,7 @@ impl Contour {
             for axis in 0..self.arm.axes() {
                 let by = ahead[axis] - joints[axis];
                 if by.abs() > JUMP {
-                    return Err(GeneratorError::jump(s, axis, by));
+                    return Err(GeneratorError::jump(s, axis, &self.arm, (&joints, &ahead)));
                 }
                 let speed = by / dt;
                 let push = (speed - velocity[axis]).abs() / dt / self.joint_limits.max_acceleration[axis];

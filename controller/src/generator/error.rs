@@ -7,7 +7,7 @@ use thiserror::Error;
 
 use super::TimingError;
 use crate::path::PathError;
-use crate::robot::KinematicsError;
+use crate::robot::{Arm, Axes, KinematicsError};
 use crate::sensor::{EchoError, ForceError, GateError, SightError};
 
 /// Reasons why a generator refuses a motion or gives it up.
@@ -62,8 +62,10 @@ pub enum GeneratorError {
     #[error("at {s:.4} of the path: {cause}")]
     Path { s: f64, cause: KinematicsError },
     /// The arm would have to jump between two neighbouring poses of a path. The field `by` is in rad or m.
-    #[error("at {s:.4} of the path: axis {axis} jumps by {by:.3} to the next pose")]
-    Jump { s: f64, axis: u8, by: f64 },
+    ///
+    /// `singular`: whether the posture before the jump or after it is beside a singular one.
+    #[error("at {s:.4} of the path: axis {axis} jumps by {by:.3} to the next pose: {}", remedy(*singular))]
+    Jump { s: f64, axis: u8, by: f64, singular: bool },
     /// A joint would have to turn back by whole turns between two neighbouring poses of a path, because the nearest turn is
     /// beyond its range. The field `by` is in rad.
     #[error(
@@ -73,7 +75,10 @@ pub enum GeneratorError {
     Turn { s: f64, axis: u8, by: f64 },
     /// The path is too close to a singularity: one axis would slow the path too much. `times` is the factor by which
     /// its velocity or acceleration limit slows the path.
-    #[error("at {s:.4} of the path: axis {axis} needs {times:.0} times its limit")]
+    #[error(
+        "at {s:.4} of the path: axis {axis} needs {times:.0} times its limit beside a singular posture: lead the path farther \
+         from it, or move the joints"
+    )]
     Singular { s: f64, axis: u8, times: f64 },
     /// A [`Contour`](super::Contour) begins where the tool stands.
     #[error("tool stands {distance:.6} m and {angle:.6} rad from the start of the path: move the tool there first")]
@@ -155,12 +160,30 @@ pub enum GeneratorError {
 /// A jump that differs from whole turns by at most this angle counts as a turn back, rad.
 const TURN: f64 = 0.5;
 
+/// Margin of a posture from a singular one, below which a jump is due to this. A path passes its poses in steps.
+const BESIDE: f64 = 0.03;
+
 impl GeneratorError {
-    /// A jump of a joint by `by`, rad or m, between two neighbouring poses of a path.
-    pub(super) fn jump(s: f64, axis: usize, by: f64) -> Self {
-        let (axis, by) = (axis as u8, by.abs());
+    /// A jump of a joint between the postures `from` and `to` of two neighbouring poses of a path.
+    pub(super) fn jump(s: f64, axis: usize, arm: &Arm, (from, to): (&Axes, &Axes)) -> Self {
+        let by = (to[axis] - from[axis]).abs();
+        let axis = axis as u8;
         let turns = (by / TAU).round();
-        let turned = turns >= 1.0 && (by - turns * TAU).abs() < TURN;
-        if turned { Self::Turn { s, axis, by } } else { Self::Jump { s, axis, by } }
+        if turns >= 1.0 && (by - turns * TAU).abs() < TURN {
+            return Self::Turn { s, axis, by };
+        }
+        let margin = |joints: &Axes| arm.robot().singularity(&arm.given(joints)).map(|it| it.margin);
+        let singular = [from, to].into_iter().flat_map(margin).any(|margin| margin < BESIDE);
+        Self::Jump { s, axis, by, singular }
+    }
+}
+
+/// What to do about a jump.
+fn remedy(singular: bool) -> &'static str {
+    if singular {
+        "a posture beside a singular posture, which does not determine the axis: give positions and orientations with nine \
+         digits, begin the path beside the singular posture, or move the joints"
+    } else {
+        "begin the path in another posture, or move the joints"
     }
 }

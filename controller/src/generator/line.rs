@@ -317,9 +317,8 @@ impl StraightLine {
 
     fn check_jump(&self, s: f64, from: &Axes, to: &Axes) -> Result<(), GeneratorError> {
         for axis in 0..self.arm.axes() {
-            let by = (to[axis] - from[axis]).abs();
-            if by > JUMP {
-                return Err(GeneratorError::jump(s, axis, by));
+            if (to[axis] - from[axis]).abs() > JUMP {
+                return Err(GeneratorError::jump(s, axis, &self.arm, (from, to)));
             }
         }
         Ok(())

@@ -1,5 +1,6 @@
 //! Errors of path geometry.
 
+use can::counted;
 use thiserror::Error;
 
 /// Reasons why points, knots or angles do not define a path. Points, corners and knots are counted from 0.
@@ -9,7 +10,7 @@ pub enum PathError {
     /// The number of axes of a joint path is zero or above [`servo::MAX_AXES`].
     #[error("{axes} axes, supported are 1 to {max}")]
     Axes { axes: usize, max: usize },
-    #[error("{given} points, at least {needed} are needed")]
+    #[error("{}, at least {needed} are needed", counted(*.given, "point"))]
     TooFewPoints { given: usize, needed: usize },
     #[error("point or vector {point}, counted from 0, has a coordinate that is NaN or infinite: give finite numbers")]
     NotFinite { point: usize },
@@ -28,7 +29,7 @@ pub enum PathError {
     BlendTooLarge { side: usize, needed: f64, available: f64 },
     #[error("the polyline turns back at point {corner}: no blend has a finite length")]
     Reversal { corner: usize },
-    #[error("{given} knots, {controls} control points need {needed}")]
+    #[error("{}, {controls} control points need {needed}", counted(*.given, "knot"))]
     KnotCount { given: usize, controls: usize, needed: usize },
     #[error(
         "knot {knot}, counted from 0, is NaN or infinite, less than the knot before it, or makes the domain empty: \

@@ -56,6 +56,7 @@ mod tests;
 
 use std::{fmt, sync::Arc};
 
+use can::counted;
 use nalgebra::{Isometry3, SMatrix};
 use serde::{Deserialize, Serialize};
 use servo::MAX_AXES;
@@ -289,7 +290,7 @@ pub enum KinematicsError {
     #[error("a number is not finite")]
     NotFinite,
     /// A vector has the length of another robot.
-    #[error("{given} positions for a robot of {axes} axes")]
+    #[error("{} for a robot of {}", counted(*.given, "position"), counted(*.axes, "axis"))]
     AxisCount { axes: u8, given: u8 },
     /// The pose is too far away for the arm, or too near. `margin` is the missing distance in the best branch.
     #[error("pose is {margin:.6} m out of reach of the arm")]

@@ -75,7 +75,8 @@ impl Arm {
         }
     }
 
-    fn given<Space>(&self, numbers: &Axes) -> Vector<Space> {
+    /// The first entries of padded numbers: those of the axes of the robot.
+    pub fn given<Space>(&self, numbers: &Axes) -> Vector<Space> {
         Vector::new(&numbers[..self.axes()]).expect("a robot has no more axes than the servo")
     }
 }

@@ -1,5 +1,6 @@
 //! Gravity compensation: motor torques that balance the weight of links and load.
 
+use can::{counted, counted_as};
 use nalgebra::{Point3, UnitVector3, Vector3};
 use serde::{Deserialize, Serialize};
 use servo::MAX_AXES;
@@ -57,7 +58,7 @@ pub enum WeightError {
     #[error("the robot has no links that weigh on its motors")]
     NoLinks,
     /// The number of masses differs from the number of links.
-    #[error("{given} masses for {links} links")]
+    #[error("{} for {}", counted_as(*.given, "mass", "masses"), counted(*.links, "link"))]
     Count {
         /// Number of links of the robot.
         links: usize,

@@ -26,7 +26,7 @@ mod tests;
 
 use std::time::Duration;
 
-use can::Instant;
+use can::{Instant, counted};
 use drive::cia401::{Edge, EdgesLost, InputImage, IoFault, LatestInputs};
 use thiserror::Error;
 
@@ -87,7 +87,7 @@ pub struct LightGatesConfig {
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
 #[expect(missing_docs, reason = "the messages document the variants")]
 pub enum GatesRefused {
-    #[error("{count} gates, must be 2 to {MAX_GATES}: a velocity needs two places")]
+    #[error("{}, must be 2 to {MAX_GATES}: a velocity needs two places", counted(*.count, "gate"))]
     Count { count: usize },
     #[error("gate {gate}: its place must be finite and beyond that of the gate before")]
     Place { gate: usize },

@@ -2,6 +2,7 @@
 
 use std::fmt;
 
+use can::counted;
 use servo::MAX_AXES;
 
 use super::{
@@ -47,10 +48,11 @@ impl fmt::Display for TrajectoryNote {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::SpareRows { line, rows, poses } => {
-                write!(f, "lines from {line} on ({rows}) are ignored: they are behind the {poses} poses of line 2")
+                let poses = counted(*poses, "pose");
+                write!(f, "lines from {line} on ({rows}) are ignored: they are behind the {poses} of line 2")
             }
             Self::SpareColumns { columns, used } => {
-                write!(f, "rows have up to {columns} columns: those behind column {used} are ignored")
+                write!(f, "rows have up to {}: those behind column {used} are ignored", counted(*columns, "column"))
             }
             Self::OlderFormat => f.write_str(
                 "neither ABSOLUTE nor RELATIVE: read as a file of the format before September 2010, with positions",

@@ -7,6 +7,7 @@ pub mod candump;
 pub mod card;
 mod claim;
 pub mod clock;
+mod counted;
 mod error_frame;
 mod frame;
 mod id;
@@ -24,6 +25,7 @@ mod virtual_port;
 
 pub use self::socketcan::{BATCH, OpenError, SocketCanOptions, SocketCanPort};
 pub use claim::{Claim, ClaimError, Holder};
+pub use counted::{counted, counted_as};
 pub use frame::Frame;
 pub use id::{ExtendedId, Id, StandardId};
 pub use instant::Instant;

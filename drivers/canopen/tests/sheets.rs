@@ -235,6 +235,21 @@ fn a_stripped_configuration_is_accepted_and_keeps_its_other_lines() {
     }
 }
 
+#[test]
+fn a_configuration_without_a_vendor_has_the_download_of_the_same_file_with_one() {
+    for &(name, ..) in CONFIGURATIONS {
+        let text = String::from_utf8(bytes(name)).unwrap();
+        let anonymous: String =
+            text.lines().filter(|line| !line.starts_with("VendorNumber")).map(|line| line.to_owned() + "\n").collect();
+        let named = anonymous.replacen("[DeviceInfo]\n", "[DeviceInfo]\nVendorNumber=0x000000FB\n", 1);
+        let [anonymous, named] = [anonymous, named].map(|text| Eds::read(text.as_bytes()).unwrap());
+        assert_eq!((anonymous.device.vendor_number, named.device.vendor_number), (None, Some(0xFB)), "{name}");
+        let [(without, reasons), (with, others)] = [&anonymous, &named].map(downloaded);
+        assert_eq!(counts(&without), counts(&with), "{name}");
+        assert_eq!(reasons.len(), others.len(), "{name}: {reasons:?}, {others:?}");
+    }
+}
+
 /// Change of one place of a file.
 #[derive(Clone, Debug)]
 enum Mutation {
@@ -363,6 +378,34 @@ proptest! {
             prop_assert_eq!(eds.variable(object), Some(variable), "{}\n{}", object, text);
             prop_assert_eq!(&eds.objects[&object.index].name, &original.objects[&object.index].name);
             prop_assert_eq!(eds.flaw_of_limits(object), None, "{}\n{}", object, text);
+        }
+    }
+
+    /// `mrroc dcf strip` makes a file that is accepted of every file that can be read, also without a vendor.
+    #[test]
+    fn whatever_a_configuration_becomes_its_stripped_file_is_accepted(
+        file in 0..CONFIGURATIONS.len(),
+        changes in prop::collection::vec((0..200_usize, mutation()), 1..4),
+    ) {
+        let sound = String::from_utf8(bytes(CONFIGURATIONS[file].0)).unwrap();
+        let text = changes.iter().fold(sound, |text, (at, change)| mutated(&text, *at, change));
+        let Ok(mut dcf) = Eds::read(text.as_bytes()) else {
+            return Ok(());
+        };
+        let mut stripped = text.clone().into_bytes();
+        // A refusal may appear after another refused line is gone.
+        for pass in 0.. {
+            let (_, errors) = downloaded(&dcf);
+            if errors.is_empty() {
+                break;
+            }
+            prop_assert!(pass < 16, "{errors:?}\n{text}");
+            let refused = errors.iter().filter_map(|error| {
+                let (line, reason) = error.split_once(": ")?;
+                Some((line.parse().ok()?, reason.to_owned()))
+            });
+            stripped = eds::strip(&stripped, &refused.collect()).bytes;
+            dcf = Eds::read(&stripped).map_err(|error| TestCaseError::fail(format!("{error}\n{text}")))?;
         }
     }
 }

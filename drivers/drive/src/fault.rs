@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use can::counted;
 use canopen::Object;
 use canopen::cia402::{FaultTable, ModeOfOperation, PowerState, Statusword};
 use canopen::objects::{DEVICE_TYPE, SUPPORTED_MODES, VENDOR_ID};
@@ -23,19 +24,22 @@ pub enum Fault {
     #[error("node {node}: {}", of_code(*.code))]
     Drive { node: u8, code: u16 },
     /// Answers were missing for more cycles than the cell tolerates.
-    #[error("node {node}: no answer for {cycles} cycles")]
+    #[error("node {node}: no answer for {}", counted(*.cycles, "cycle"))]
     Silent { node: u8, cycles: u32 },
     /// All answers come `periods` later than in the period of their SYNC: longer than the loop of the axis, or the tolerated
     /// number of missing answers, permits. A SYNC that was left out proved the latency.
-    #[error("node {node}: answers come {latency:.1?} after SYNC, {periods} periods late, {most:.1?} permitted")]
+    #[error(
+        "node {node}: answers come {latency:.1?} after SYNC, {} late, {most:.1?} permitted",
+        counted(*.periods, "period")
+    )]
     Late { node: u8, periods: u32, latency: Duration, most: Duration },
     /// The port refused the set-point of the node, or even the SYNC, for more cycles than the cell tolerates. The
     /// drive continues with an old set-point.
-    #[error("node {node}: set-point not taken by the bus for {cycles} cycles")]
+    #[error("node {node}: set-point not taken by the bus for {}", counted(*.cycles, "cycle"))]
     NotSent { node: u8, cycles: u32 },
     /// The host's controller is error passive, and the bus took no frame of the host in these cycles: no other node
     /// acknowledges the frames. At most the frames of one cycle wait in the controller.
-    #[error("bus: no node acknowledges the host's frames, for {cycles} cycles")]
+    #[error("bus: no node acknowledges the host's frames, for {}", counted(*.cycles, "cycle"))]
     NotAcknowledged { cycles: u32 },
     #[error("node {node}: no heartbeat for {waited:.1?}")]
     HeartbeatLost { node: u8, waited: Duration },

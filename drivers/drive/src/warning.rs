@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use can::counted;
 use canopen::Object;
 use canopen::cia402::FaultTable;
 use thiserror::Error;
@@ -34,7 +35,7 @@ pub enum WarningCause {
         register: u8,
     },
     /// All answers of the node come late, and the loop permits it. The count says how often this was found.
-    #[error("answers come {latency:.1?} after their SYNC, {periods} periods late")]
+    #[error("answers come {latency:.1?} after their SYNC, {} late", counted(*.periods, "period"))]
     Late {
         /// Periods by which the answers come later than in the period of their SYNC.
         periods: u32,
@@ -67,7 +68,11 @@ pub enum WarningCause {
     )]
     NoErrorBehaviour,
     /// Values that can only be read differ from the device configuration file.
-    #[error("{different} of {values} read-only values differ from the device configuration file, the first is {first}")]
+    #[error(
+        "{different} of {} {} from the device configuration file, the first is {first}",
+        counted(*.values, "read-only value"),
+        if *.different == 1 { "differs" } else { "differ" }
+    )]
     Compared {
         /// Number of compared values.
         values: u32,

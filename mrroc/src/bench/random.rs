@@ -24,6 +24,8 @@ pub(super) enum Stream {
 impl Stream {
     pub(super) fn seed(self, file: &CellFile) -> u64 {
         let number = match self {
+            // A robot has up to eight axes, and only the first 31 robots have sixteen numbers each.
+            Self::Axis { robot: robot @ 31.., number } => (robot - 31) * 16 + 8 + number,
             Self::Axis { robot, number } => robot * 16 + number,
             Self::Camera(number) => 500 + number,
             Self::Traffic(bus) => 600 + bus,
@@ -40,15 +42,26 @@ impl Stream {
 mod tests {
     use std::collections::HashSet;
 
+    use servo::MAX_AXES;
+
     use super::*;
+    use crate::cell::most_devices;
     use Stream::*;
 
     #[test]
     fn no_two_devices_share_a_stream() {
         let file = CellFile::read(concat!(env!("CARGO_MANIFEST_DIR"), "/../cells/irb6.toml")).unwrap();
-        let axes = (0..16).flat_map(|robot| (0..16).map(move |number| Axis { robot, number }));
-        let others = (0..16).flat_map(|n| [Camera(n), Traffic(n), Conveyor(n), Matrix(n), Force(n), Device(n)]);
-        let streams: Vec<_> = axes.chain(others).collect();
+        let [robots, buses, matrices, sensors, cameras, conveyors, devices] = most_devices();
+        let axes = (0..robots).flat_map(|robot| (0..MAX_AXES).map(move |number| Axis { robot, number }));
+        let streams: Vec<_> = axes
+            .chain((0..buses).map(Traffic))
+            .chain((0..matrices).map(Matrix))
+            .chain((0..sensors).map(Force))
+            .chain((0..cameras).map(Camera))
+            .chain((0..conveyors).map(Conveyor))
+            .chain((0..devices).map(Device))
+            .collect();
+        assert!(streams.len() > 32 * 8);
         let seeds: HashSet<u64> = streams.iter().map(|stream| stream.seed(&file)).collect();
         assert_eq!(seeds.len(), streams.len());
     }

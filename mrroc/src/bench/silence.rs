@@ -2,6 +2,7 @@
 
 use std::fmt::Display;
 
+use crate::report::counted;
 use can::{ControllerState, Counters};
 
 /// Possible reasons why no node on `interface` answers.
@@ -12,9 +13,9 @@ pub fn reasons(interface: impl Display, counters: Counters, state: ControllerSta
              off, or is stopped (a stopped node answers no SDO)"
         ),
         (0, _) if counters.dropped > 0 => format!(
-            "{} lines from {interface} cannot be read, and no other came: check the baud rate; an slcan adapter must \
-             end lines by a carriage return, and have no time stamps (Z0) or time stamps of four digits (Z1)",
-            counters.dropped
+            "{} from {interface} cannot be read, and no other came: check the baud rate; an slcan adapter must end lines \
+             by a carriage return, and have no time stamps (Z0) or time stamps of four digits (Z1)",
+            counted(counters.dropped, "line")
         ),
         (0, ControllerState::Active) if counters.errors == 0 => format!(
             "nothing at all is heard on {interface}: wrong bit rate, no power at the nodes, CAN_H and CAN_L swapped, \

@@ -14,6 +14,7 @@ use master::sdo::CAPACITY;
 
 use super::{CellFile, Path, printable};
 use crate::input;
+use crate::report::counted;
 
 /// Greatest number of values written to a drive, or compared, before operation. Each value takes two exchanges of some
 /// milliseconds.
@@ -209,8 +210,7 @@ fn refusal(
         let place = line.map_or(String::new(), |line| format!("{line}: "));
         let others = match further.as_slice() {
             [] => String::new(),
-            [one] => format!("; the same holds for 1 further line: {one}"),
-            several => format!("; the same holds for {} further lines: {}", several.len(), joined(several)),
+            lines => format!("; the same holds for {}: {}", counted(lines.len(), "further line"), joined(lines)),
         };
         format!("{place}{told}{others}")
     };

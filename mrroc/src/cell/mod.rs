@@ -67,7 +67,7 @@ pub use force_law::ForceLaw;
 pub use io::{ErrorState, InputLine, IoNode, LinePlace, OutputLine};
 pub use meetings::Meeting;
 pub(crate) use program::smooth_pose;
-pub use program::{ProgramError, instruction_path};
+pub use program::{JOINT_LIMITS, PLANNED, ProgramError, instruction_path};
 pub use read::LARGEST;
 pub(crate) use read::{element as read_element, entries as read_entries, from_text};
 pub use scene::{EmulatedBar, EmulatedBlock, EmulatedGripper, EmulatedPlane, EmulatedScene, EmulatedTip, Place};
@@ -78,6 +78,8 @@ pub(crate) use text::one_of;
 pub use text::{printable, quoted};
 pub use touch::EmulatedTouchProbe;
 pub use ultrasonic::{Ultrasonic, UltrasonicEmulator};
+#[cfg(test)]
+pub(crate) use validation::most_devices;
 pub use workpiece::{EmulatedCutter, EmulatedWorkpiece};
 
 /// One controller: all robots that share one servo cycle.

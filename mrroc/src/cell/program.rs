@@ -16,12 +16,12 @@ use controller::robot::{Arm, KinematicsError, Limits, Space};
 
 /// Greatest joint velocity, acceleration and jerk of generators, rad/s, rad/s² and rad/s³. Velocity and acceleration
 /// are those of MRROC++'s generators. With this jerk, the acceleration is reached in a tenth of a second.
-const JOINT_LIMITS: (f64, f64, f64) = (1.5, 7.0, 70.0);
+pub const JOINT_LIMITS: (f64, f64, f64) = (1.5, 7.0, 70.0);
 
 /// Fractions of a motor's limits of velocity and acceleration for plans. The rest of the acceleration has three uses:
 /// changes of the speed override; quintics between macrosteps, which need up to 5/3 of a planned acceleration; and ball
 /// screws, whose motor accelerates while the joint velocity is constant.
-const PLANNED: (f64, f64) = (0.95, 0.5);
+pub const PLANNED: (f64, f64) = (0.95, 0.5);
 
 /// Number of joint positions at which the drive train is sampled, over the range of each joint.
 const SAMPLES: usize = 32;

@@ -21,6 +21,7 @@ use toml::map::Iter;
 use super::error::{CellError, Path, Step, line_at};
 use super::text::{excerpt, one_of, quoted};
 use super::{Cell, Range, out_of_range};
+use crate::report::counted;
 
 /// Greatest size of a cell file, bytes. The largest example has 26 kB.
 pub const LARGEST: usize = 1 << 20;
@@ -288,11 +289,11 @@ impl<'de> Value<'de> {
     /// Passes an array to `visitor`, which must take all elements.
     fn array<V: Visitor<'de>>(&self, length: Option<usize>, visitor: V) -> Result<V::Value, ValueError> {
         let DeValue::Array(array) = self.value else {
-            let elements = length.map_or(String::new(), |length| format!(" of {length} elements"));
+            let elements = length.map_or(String::new(), |length| format!(" of {}", counted(length, "element")));
             return Err(self.wrong(format!("an array{elements}")));
         };
-        let count =
-            |expected| ValueError::new(format!("has {} elements, must have {expected}", array.len())).from(self.offset);
+        let found = counted(array.len(), "element");
+        let count = |expected| ValueError::new(format!("has {found}, must have {expected}")).from(self.offset);
         if let Some(expected) = length.filter(|length| *length != array.len()) {
             return Err(count(expected));
         }

@@ -54,7 +54,7 @@ fn parameters_of_a_task_are_read_or_refused_with_line_and_key() {
         ("", 1, "task.parts", "is missing"),
         ("[task]", first, "task.parts", "is missing"),
         ("[task]\nparts = 300", first + 1, "task.parts", "is 300, must be a whole number from 0 to 255"),
-        ("[task]\nparts = 3\nplaces = [[1, 2], [3]]", first + 2, "task.places[1]", "has 1 elements, must have 2"),
+        ("[task]\nparts = 3\nplaces = [[1, 2], [3]]", first + 2, "task.places[1]", "has 1 element, must have 2"),
         ("[task]\npart = 3", first + 1, "task.part", "is an unknown key, must be \"parts\" or \"places\""),
     ] {
         let expected = CellError { line, key: key.to_owned(), problem: problem.to_owned() };
@@ -463,7 +463,7 @@ fn meetings_that_cannot_be_held_are_refused_at_their_line() {
         ),
         (
             third(&meet("end"), &meet("start"), 5),
-            "robot[5].program[4].meet: robot \"conveyor\" comes 2 times to meeting \"start\", robot \"irb6\" 1 times",
+            "robot[5].program[4].meet: robot \"conveyor\" comes 2 times to meeting \"start\", robot \"irb6\" 1 time",
         ),
         (
             swapped,

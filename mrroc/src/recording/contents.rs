@@ -6,6 +6,7 @@
 use std::collections::BTreeMap;
 use std::hash::{DefaultHasher, Hash, Hasher};
 
+use crate::report::counted_as;
 use mcap::records::{Footer, Record, Statistics};
 
 /// Number and checksum of entries in any order.
@@ -165,7 +166,8 @@ impl Contents {
         };
         let messages = self.counts.values().sum::<u64>();
         if messages != statistics.message_count {
-            return Err(format!("{messages} messages are there, and the summary counts {}", statistics.message_count));
+            let there = counted_as(messages, "message is", "messages are");
+            return Err(format!("{there} there, and the summary counts {}", statistics.message_count));
         }
         let mut by_channel = statistics.channel_message_counts.clone();
         by_channel.retain(|_, count| *count > 0);

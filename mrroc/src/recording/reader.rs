@@ -22,6 +22,7 @@ use super::file::{
 use super::input::Input;
 use crate::bench::BenchKind;
 use crate::input;
+use crate::report::counted;
 
 /// Greatest length of a record, bytes. A damaged length must not request more memory.
 const LONGEST: usize = 16 << 20;
@@ -377,7 +378,10 @@ impl Reading {
                 return Err(damaged("a count of the messages that cannot be decoded"));
             };
             if found != written {
-                return Err(Failure::Missing(format!("{found} of {written} messages of {topic} are there")));
+                return Err(Failure::Missing(format!(
+                    "{found} of {} of {topic} are there",
+                    counted(written, "message")
+                )));
             }
         }
         self.complete = true;

@@ -15,6 +15,7 @@ use super::difference::Difference;
 use super::reader::{Damage, Reader};
 use super::replaying::Replaying;
 use crate::cell::CellFile;
+use crate::report::counted;
 
 /// What a recording is replayed with.
 #[derive(Clone, Debug, Default)]
@@ -92,7 +93,10 @@ impl Display for Replay {
             (Some(Place { time_s, .. }), Some(first)) => {
                 writeln!(f, "differs in the bring-up at {time_s:.6} s: {first}")
             }
-            _ => writeln!(f, "{cycles} cycles replayed, {equal} outputs equal bit for bit"),
+            _ => {
+                let (cycles, outputs) = (counted(*cycles, "cycle"), counted(*equal, "output"));
+                writeln!(f, "{cycles} replayed, {outputs} equal bit for bit")
+            }
         }
     }
 }

@@ -25,6 +25,7 @@ use super::replay::{Place, Replay};
 use super::samples::DeviceSample;
 use super::sources::{Layout, words};
 use crate::cell::CellFile;
+use crate::report::counted_as;
 use crate::{run, setup};
 
 /// Frames and telegrams of one cycle at a port or line, at most.
@@ -211,7 +212,8 @@ impl Replaying {
             Entry::Order(order) => self.latest().context("an order precedes the first call")?.orders.push(order),
             Entry::Word(word) => self.latest().context("a word precedes the first call")?.words.push(word),
             Entry::Lost(lost) => {
-                bail!("{} entries of the recording found no room, so it cannot be replayed", lost.entries)
+                let entries = counted_as(lost.entries, "entry", "entries");
+                bail!("{entries} of the recording found no room, so it cannot be replayed")
             }
             Entry::Line(line, entry) => {
                 self.lines[line].feed.push(entry);

@@ -9,7 +9,7 @@ use anyhow::{Context, anyhow, bail};
 use super::{Extent, Rehearsed, aside, beside_home, courses, from_home, run};
 use crate::bench::BenchKind;
 use crate::cell::CellFile;
-use crate::report::{RunOutcome, RunReport};
+use crate::report::{RunOutcome, RunReport, counted};
 use crate::run::{Progress, Requests, RunOptions, run_rehearsed};
 use crate::tasks::Program;
 
@@ -24,7 +24,9 @@ const TOLD: usize = 3;
 /// refusal by ideal drives does not count if the task needs contact or sensors before the refused instruction.
 pub fn rehearse_with_scene(file: &CellFile, program: &Program, stop: &Arc<AtomicBool>) -> anyhow::Result<Rehearsed> {
     if file.cell.scene.is_none() {
-        bail!("--rehearse-with-scene needs a scene: the cell has no table [scene]");
+        bail!(
+            "--rehearse-with-scene needs a scene, and the cell has no table [scene]: add one, or leave the option out"
+        );
     }
     let in_scene = in_scene(file, program, stop).context("in the rehearsal with the scene, nothing has moved")?;
     let InScene { duration, instructions, moved } = in_scene;
@@ -82,7 +84,7 @@ fn in_scene(file: &CellFile, program: &Program, stop: &Arc<AtomicBool>) -> anyho
 fn refusal(report: &RunReport) -> anyhow::Error {
     let mut told: Vec<_> = report.faults.iter().take(TOLD).map(ToString::to_string).collect();
     if report.faults.len() > TOLD {
-        told.push(format!("and {} more faults", report.faults.len() - TOLD));
+        told.push(format!("and {}", counted(report.faults.len() - TOLD, "more fault")));
     }
     anyhow!("{}", told.join("; "))
 }

@@ -4,7 +4,7 @@ use std::fmt;
 
 use serde::Serialize;
 
-use super::counted;
+use super::{counted, counted_as};
 use crate::cell::{CellFile, printable};
 
 /// The device configuration file of one axis.
@@ -49,17 +49,11 @@ impl ConfigurationReport {
     pub(crate) fn lines(&self) -> impl Iterator<Item = String> {
         let Self { axis, file, writes, defaults, compared, left_out, .. } = self;
         let defaults = (*defaults > 0).then(|| {
-            let of = if *defaults == 1 {
-                "1 write is of a default".into()
-            } else {
-                format!("{defaults} writes are of defaults")
-            };
-            of + ", made where the drive holds another value"
+            counted_as(*defaults, "write is of a default", "writes are of defaults")
+                + ", made where the drive holds another value"
         });
-        let compared = (*compared > 0).then(|| {
-            let is = if *compared == 1 { "is" } else { "are" };
-            format!("{} {is} compared with the drive", counted(*compared, "read-only value"))
-        });
+        let compared = (*compared > 0)
+            .then(|| counted_as(*compared, "read-only value is", "read-only values are") + " compared with the drive");
         let (writes, values) = (counted(*writes, "write"), counted(*left_out, "value"));
         let first = format!("axis {axis}: {file} asks for {writes} and notes {values} more");
         [Some(first), defaults, compared].into_iter().flatten()

@@ -30,6 +30,7 @@ use servo::{Counters, Histogram, Servo, Timing};
 use crate::{budget::BusBudget, cell::CellFile, run::ServoHang, wire::WireReport};
 
 pub use crate::row_file::IncompleteFile;
+pub use can::{counted, counted_as};
 pub use configuration::ConfigurationReport;
 pub use devices::{DeviceReport, ValueReport};
 pub use fault::{ErrorPlace, FaultReport};
@@ -313,7 +314,7 @@ impl fmt::Display for WarningReport {
             write!(f, ", at {time:.3} s")?;
         }
         if self.count > 1 {
-            write!(f, " and {} times more", self.count - 1)?;
+            write!(f, " and {} more", counted(self.count - 1, "time"))?;
         }
         Ok(())
     }
@@ -527,18 +528,17 @@ impl BusReport {
             register: None,
             time_s: None,
             count: 1,
-            what: format!(
-                "{}, error passive {}, bus off {}: check bit rate, termination, cables, and power of the nodes",
-                counted(*errors, "error frame"),
-                counted(*error_passive, "time"),
-                counted(*bus_off, "time")
-            ),
+            what: bus_errors([*errors, *error_passive, *bus_off], ""),
         })
     }
 }
 
-/// A number with its noun, whose plural ends in s.
-fn counted<N: Copy + fmt::Display + From<u8> + PartialEq>(number: N, noun: &str) -> String {
-    let plural = if number == N::from(1) { "" } else { "s" };
-    format!("{number} {noun}{plural}")
+/// What is said of errors on a CAN bus: error frames, times error passive and times bus off. `now`: the present state.
+pub(crate) fn bus_errors([errors, error_passive, bus_off]: [u64; 3], now: &str) -> String {
+    format!(
+        "{}, error passive {}, bus off {}{now}: check bit rate, termination, cables, and power of the nodes",
+        counted(errors, "error frame"),
+        counted(error_passive, "time"),
+        counted(bus_off, "time")
+    )
 }

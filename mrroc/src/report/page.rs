@@ -4,7 +4,8 @@ use std::fmt::{Display, Write as _};
 
 use servo::Timing;
 
-use super::{BusReport, CycleState, Deviation, FaultReport, RunReport, Tracks, counted, plots, text::rounded};
+use super::text::{lost_records, rounded};
+use super::{BusReport, CycleState, Deviation, FaultReport, RunReport, Tracks, counted, counted_as, plots};
 use crate::cell::printable;
 use crate::charts::{ChartError, escaped};
 
@@ -23,14 +24,18 @@ pub(crate) fn page(report: &RunReport, tracks: &Tracks, timing: &Timing) -> Resu
     paragraph(
         &mut page,
         format_args!(
-            "Bench {}, {:.1} times real time. {} cycles of {} µs, {} missed.",
-            report.bench, report.realtime_factor, cycle.cycles, cycle.period_us, cycle.missed
+            "Bench {}, {:.1} times real time. {} of {} µs, {} missed.",
+            report.bench,
+            report.realtime_factor,
+            counted(cycle.cycles, "cycle"),
+            cycle.period_us,
+            cycle.missed
         ),
     );
     if report.lost_records > 0 {
         paragraph(
             &mut page,
-            format_args!("{} records of cycles were lost: errors of robots and plots lack them.", report.lost_records),
+            format_args!("{}: errors of robots and plots lack them.", lost_records(report.lost_records)),
         );
     }
     let figures: Vec<_> = report.figures.iter().map(|(name, value)| format!("{name}: {value:.4}")).collect();
@@ -42,7 +47,13 @@ pub(crate) fn page(report: &RunReport, tracks: &Tracks, timing: &Timing) -> Resu
     list(&mut page, "Incomplete files", &report.incomplete_files);
     list(&mut page, "Motions slowed by joints", &report.slowed);
     if report.more_slowed > 0 {
-        paragraph(&mut page, format_args!("{} further motions were slowed.", report.more_slowed));
+        paragraph(
+            &mut page,
+            format_args!(
+                "{}.",
+                counted_as(report.more_slowed, "further motion was slowed", "further motions were slowed")
+            ),
+        );
     }
     list(&mut page, "Oscillations", &report.oscillations);
     list(&mut page, "Device configurations", &report.configurations);

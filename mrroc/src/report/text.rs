@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use super::{Deviation, Percentiles, RobotReport, RunReport, counted};
+use super::{BusReport, Deviation, Percentiles, RobotReport, RunReport, counted, counted_as};
 
 /// `irb6  tool 0.12 mm rms, 0.45 mm peak; 0.01° rms, 0.05° peak`
 impl fmt::Display for RobotReport {
@@ -19,10 +19,15 @@ impl fmt::Display for RobotReport {
             false => write!(f, "{}", said.join("; "))?,
         }
         if self.unsolved > 0 {
-            write!(f, "; no pose in {} cycles", self.unsolved)?;
+            write!(f, "; no pose in {}", counted(self.unsolved, "cycle"))?;
         }
         Ok(())
     }
+}
+
+/// What is said of records of cycles that were lost.
+pub(super) fn lost_records(count: u64) -> String {
+    counted_as(count, "record of cycles was lost", "records of cycles were lost")
 }
 
 /// An error in mm or degrees with the digits that matter: 12.35, 0.12, 0.045, 0.0007.
@@ -41,7 +46,7 @@ impl fmt::Display for RunReport {
             writeln!(f, "{robot}")?;
         }
         if self.lost_records > 0 {
-            writeln!(f, "{} records of cycles were lost", self.lost_records)?;
+            writeln!(f, "{}", lost_records(self.lost_records))?;
         }
         let names = self.axes.iter().map(|axis| axis.name.len()).max().unwrap_or(0).max(4);
         if !self.axes.is_empty() {
@@ -65,7 +70,7 @@ impl fmt::Display for RunReport {
         for (name, times) in rows {
             writeln!(f, "{name:9} {times}")?;
         }
-        writeln!(f, "\n{} cycles of {} µs, {} missed", cycle.cycles, cycle.period_us, cycle.missed)?;
+        writeln!(f, "\n{} of {} µs, {} missed", counted(cycle.cycles, "cycle"), cycle.period_us, cycle.missed)?;
         if cycle.wait.spin_percent > 0.0 {
             writeln!(
                 f,
@@ -84,20 +89,7 @@ impl fmt::Display for RunReport {
             writeln!(f, "the worst: {}", worst.collect::<Vec<_>>().join(", "))?;
         }
         for bus in &self.buses {
-            let traffic = match bus.lines {
-                None => format!("{} frames", bus.frames),
-                Some(1) => format!("{} telegrams on 1 line", bus.frames),
-                Some(lines) => format!("{} telegrams on {lines} lines", bus.frames),
-            };
-            write!(
-                f,
-                "bus {}: {traffic}, load {:.1} %, worst case {:.1} % of the period",
-                bus.name, bus.load_percent, bus.worst_case_percent
-            )?;
-            if bus.dropped_setpoints + bus.missed_answers > 0 {
-                write!(f, ", {} set-points dropped, {} answers missed", bus.dropped_setpoints, bus.missed_answers)?;
-            }
-            writeln!(f)?;
+            writeln!(f, "{bus}")?;
         }
         for wire in &self.wire {
             write!(f, "{wire}")?;
@@ -145,10 +137,27 @@ impl fmt::Display for RunReport {
     }
 }
 
+impl fmt::Display for BusReport {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let traffic = match self.lines {
+            None => counted(self.frames, "frame"),
+            Some(lines) => format!("{} on {}", counted(self.frames, "telegram"), counted(lines, "line")),
+        };
+        let (load, worst) = (self.load_percent, self.worst_case_percent);
+        write!(f, "bus {}: {traffic}, load {load:.1} %, worst case {worst:.1} % of the period", self.name)?;
+        if self.dropped_setpoints + self.missed_answers > 0 {
+            let (dropped, missed) =
+                (counted(self.dropped_setpoints, "set-point"), counted(self.missed_answers, "answer"));
+            write!(f, ", {dropped} dropped, {missed} missed")?;
+        }
+        Ok(())
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::report::{BusReport, Subject};
+    use crate::report::Subject;
 
     #[test]
     fn errors_of_a_bus_are_told_in_the_right_number() {
@@ -170,6 +179,36 @@ mod tests {
         assert!(of(0, 0, 0).trouble().is_none());
         let json = serde_json::to_value(of(1, 0, 1).trouble()).unwrap();
         assert_eq!((&json["bus"], &json["node"], &json["count"]), (&"arm".into(), &().into(), &1.into()), "{json}");
+    }
+
+    #[test]
+    fn one_of_each_is_told_in_the_singular() {
+        let one = BusReport {
+            name: "arm".into(),
+            lines: Some(1),
+            frames: 1,
+            load_percent: 0.0,
+            worst_case_percent: 0.0,
+            dropped_setpoints: 1,
+            missed_answers: 1,
+            errors: 0,
+            error_passive: 0,
+            bus_off: 0,
+        };
+        let told = "bus arm: 1 telegram on 1 line, load 0.0 %, worst case 0.0 % of the period, 1 set-point dropped, 1 answer \
+                    missed";
+        assert_eq!(one.to_string(), told);
+        let warning = crate::report::WarningReport {
+            bus: "arm".into(),
+            axis: None,
+            node: None,
+            code: None,
+            register: None,
+            time_s: None,
+            count: 2,
+            what: "said".into(),
+        };
+        assert_eq!(warning.to_string(), "bus arm: said and 1 time more");
     }
 
     #[test]

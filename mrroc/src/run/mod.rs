@@ -59,7 +59,7 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
 use std::thread::{Builder, available_parallelism};
 use std::time::Duration;
 
-use anyhow::{Context, anyhow};
+use anyhow::{Context, anyhow, bail};
 use can::{Instant, clock};
 use servo::thread::{self, Finished};
 use servo::{NotUp, Servo, Timing, lockstep};
@@ -74,7 +74,7 @@ use crate::cell::CellFile;
 use crate::guardian::{Guardian, GuardianFault, Pulse};
 use crate::outputs::Outputs;
 use crate::rehearsal::Rehearsed;
-use crate::report::{FaultReport, IncompleteFile, RunEnd, RunOutcome, RunReport, Tracks};
+use crate::report::{FaultReport, IncompleteFile, RunEnd, RunOutcome, RunReport, Tracks, counted_as};
 use crate::scenario::{Scenario, ScenarioProbe};
 use crate::tasks::Program;
 use crate::trace::{AxisLog, FrameLog, StepFile, log_names};
@@ -86,7 +86,7 @@ use files::{Logs, Writing, Written, begun, named};
 
 use descriptions::{of_guardian, of_power, of_servo_hang, of_servo_thread, servo_faults};
 pub use ending::{Requests, Turning, stopped_once};
-pub use not_up::why_not_up;
+pub use not_up::{diagnosed, why_not_up};
 pub use options::RunOptions;
 use page_file::PageFile;
 use recorded::Recording;
@@ -159,7 +159,10 @@ pub fn run(
         rehearsed.overloads(file)?.iter().for_each(|warning| streams::warn(format_args!("mrroc: {warning}")));
     }
     if options.trace.is_some() && file.cell.bus.is_empty() {
-        streams::warn("--trace stays empty: it has the frames of CAN buses, and the cell has none");
+        bail!(
+            "--trace writes the frames of CAN buses, and the cell has none: --record FILE.mcap keeps the telegrams of its \
+             lines"
+        );
     }
     run_rehearsed(file, options, requests, program, (&rehearsed, scenario.as_ref()), progress)
 }
@@ -312,8 +315,8 @@ pub(crate) fn run_rehearsed(
 fn of_contacts(unsolved: u64) -> Option<FaultReport> {
     (unsolved > 0).then(|| {
         FaultReport::of_run(format_args!(
-            "emulated contacts are wrong in {unsolved} parts of steps: reduce stiffness and damping of surfaces and grips, \
-             or use heavier bodies"
+            "emulated contacts are wrong in {}: reduce stiffness and damping of surfaces and grips, or use heavier bodies",
+            counted_as(unsolved, "part of a step", "parts of steps")
         ))
     })
 }
@@ -350,7 +353,7 @@ fn not_up(
             cell_time,
         });
     }
-    Err(not_up::diagnosed(file, &servo, why))
+    Err(diagnosed(file, &servo, why))
 }
 
 fn in_lockstep(

@@ -3,12 +3,14 @@
 use std::fmt::Display;
 
 use anyhow::anyhow;
+use can::ControllerState;
 use drive::wrench::WrenchError;
 use drive::{BringUpError, GroupCounters};
 use servo::{NotUp, Servo};
 
 use crate::bench::silence;
 use crate::cell::{CellFile, printable};
+use crate::report::bus_errors;
 
 /// Why the drives of a cell did not come up, in the words of the cell.
 pub fn why_not_up(file: &CellFile, why: NotUp) -> anyhow::Error {
@@ -41,8 +43,8 @@ pub fn why_not_up(file: &CellFile, why: NotUp) -> anyhow::Error {
     anyhow!("bus {name}{}: {error}", axis.or(io).or(sensor).unwrap_or_default())
 }
 
-/// The same, and for a node that never booted what its bus tells.
-pub(super) fn diagnosed(file: &CellFile, servo: &Servo, why: NotUp) -> anyhow::Error {
+/// As [`why_not_up`], and for a node that never booted what its bus tells. The servo is the one whose bring-up failed.
+pub fn diagnosed(file: &CellFile, servo: &Servo, why: NotUp) -> anyhow::Error {
     let error = why_not_up(file, why);
     let NotUp::Group(
         bus,
@@ -73,7 +75,15 @@ fn of_bus(file: &CellFile, bus: usize, counters: GroupCounters) -> String {
         [] => "check its node-ID, power and connector".to_owned(),
         strangers => format!("{} not in the cell: check the node-ID, power and connector", listed(strangers)),
     };
-    format!("heard on the bus: {}; {strange}", listed(&heard))
+    let trouble = trouble(counters).map(|trouble| format!("; {trouble}"));
+    format!("heard on the bus: {}; {strange}{}", listed(&heard), trouble.unwrap_or_default())
+}
+
+/// Errors of a bus on which nodes were heard: a bus without termination can carry some of the frames.
+fn trouble(GroupCounters { port, state, .. }: GroupCounters) -> Option<String> {
+    let now = (state != ControllerState::Active).then(|| format!(", now {}", silence::state_text(state)));
+    (port.errors + port.passive + port.bus_off > 0 || now.is_some())
+        .then(|| bus_errors([port.errors, port.passive, port.bus_off], now.as_deref().unwrap_or_default()))
 }
 
 /// `node 3`, or `nodes 3, 4 and 5`.
@@ -90,8 +100,6 @@ fn listed(nodes: &[u8]) -> String {
 mod tests {
     use std::fs;
     use std::path::Path;
-
-    use can::ControllerState;
 
     use super::*;
     use crate::bench::BenchKind;
@@ -128,6 +136,15 @@ mod tests {
         assert_eq!(
             of(&[1, 17]),
             "heard on the bus: nodes 1 and 17; node 17 not in the cell: check the node-ID, power and connector"
+        );
+        // Errors of the bus are told although nodes were heard.
+        let port = can::Counters { received: 9, errors: 1, passive: 2, ..can::Counters::default() };
+        let troubled =
+            GroupCounters { heard: 1 << 2, port, state: ControllerState::Passive, ..GroupCounters::default() };
+        assert_eq!(
+            of_bus(&file, 0, troubled),
+            "heard on the bus: node 2; check its node-ID, power and connector; 1 error frame, error passive 2 times, bus \
+             off 0 times, now error passive: check bit rate, termination, cables, and power of the nodes"
         );
         assert!(of(&[]).starts_with("nothing at all is heard on bus arm: wrong bit rate"));
         let passive = GroupCounters { state: ControllerState::Passive, ..GroupCounters::default() };

@@ -24,7 +24,7 @@ pub struct RunOptions {
     /// torques of the emulated drives. This takes as long as a run with --bench lockstep.
     #[cfg_attr(feature = "command-line", arg(long))]
     pub rehearse_with_scene: bool,
-    /// Write every frame to this file, as candump does.
+    /// Write every frame to this file, as candump does. Refused for a cell without a CAN bus.
     #[cfg_attr(feature = "command-line", arg(long, value_name = "FILE"))]
     pub trace: Option<PathBuf>,
     /// Write every axis in every cycle to this file, as CSV. A file called NAME.mcap is a recording for `mrroc replay`: all

@@ -15,6 +15,7 @@ use servo::MAX_AXES;
 use super::draft::Draft;
 use super::{Cell, Outcome, Robot, TaskError};
 use crate::cell;
+use crate::report::{counted, counted_as};
 
 /// Parameters of both tasks: the table `task` of the cell file.
 #[derive(Deserialize)]
@@ -177,7 +178,7 @@ pub(super) async fn teach(cell: &mut Cell, joints: Option<JointConvention>) -> O
     }
     recorded?;
     let count = taught.poses.len();
-    cell.tell(format!("{}: {count} poses", path.display()));
+    cell.tell(format!("{}: {}", path.display(), counted(count, "pose")));
     cell.figure("poses", count as f64);
     robot.disable().await
 }
@@ -248,11 +249,13 @@ impl TaughtPoses {
         let count = self.poses.len();
         match (self.save(), self.draft.place()) {
             (Ok(()), Some(place)) => {
-                cell.tell(format!("{count} poses are in {}: rename it to replay it", place.display()));
+                let poses = counted_as(count, "pose is", "poses are");
+                cell.tell(format!("{poses} in {}: rename it to replay it", place.display()));
             }
             (saved, _) => {
                 let why = saved.err().map(|error| format!("{error:#}: ")).unwrap_or_default();
-                cell.tell(format!("{why}the {count} poses are:\n{}", self.text().unwrap_or_default()));
+                let poses = counted_as(count, "pose is", "poses are");
+                cell.tell(format!("{why}the {poses}:\n{}", self.text().unwrap_or_default()));
             }
         }
     }

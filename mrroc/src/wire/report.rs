@@ -4,7 +4,7 @@ use std::fmt;
 
 use serde::Serialize;
 
-use crate::report::Percentiles;
+use crate::report::{Percentiles, counted_as};
 
 /// Source of the times.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -101,7 +101,7 @@ impl fmt::Display for WireReport {
         }
         match self.lost_frames {
             0 => Ok(()),
-            lost => writeln!(f, "{lost} frames were lost to this table"),
+            lost => writeln!(f, "{} lost to this table", counted_as(lost, "frame was", "frames were")),
         }
     }
 }

@@ -6,6 +6,7 @@
 mod answers;
 mod convert;
 mod machine;
+mod singular;
 
 use anyhow::{Context as _, bail};
 use clap::{ArgGroup, Args, Subcommand};
@@ -121,7 +122,7 @@ pub fn kinematics(question: &Question) -> anyhow::Result<Answer> {
             };
             let solutions = machine.robot.inverse(&pose, &near);
             let solutions = solutions.with_context(|| format!("{}: no joints for this pose", machine.name))?;
-            Ok(Answer::inverse(machine, &solutions))
+            Ok(Answer::inverse(machine, &solutions, &near))
         }
         Question::Jacobian { joints, .. } => Answer::jacobian(machine, &machine.vector("--joints", joints)?),
         Question::Limits { .. } => Ok(Answer::limits(machine)),

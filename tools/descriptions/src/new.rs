@@ -15,6 +15,7 @@ use anyhow::{Context as _, ensure};
 use clap::Args;
 use controller::robot::LinkKind;
 use mrroc::cell::{DescribedJoint, DescribedRobot, read_urdf};
+use mrroc::report::counted;
 
 use questions::{Order, Package};
 
@@ -69,7 +70,8 @@ pub fn new(options: &Options) -> anyhow::Result<String> {
     let name = path.display();
     let mut file = File::create_new(&path).with_context(|| name.to_string())?;
     file.write_all(text.as_bytes()).with_context(|| name.to_string())?;
-    let mut said = format!("{name}: {count} joints from {:?} to {:?} of {shown}\n", described.base, described.flange);
+    let mut said =
+        format!("{name}: {} from {:?} to {:?} of {shown}\n", counted(count, "joint"), described.base, described.flange);
     if !described.left_out.is_empty() {
         let _ = writeln!(said, "left out, since they are beside this way: {}", described.left_out.join(", "));
     }

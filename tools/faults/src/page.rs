@@ -6,6 +6,7 @@ use std::time::Duration;
 
 use super::bounds::SmallestSteps;
 use super::{FaultTable, Row};
+use mrroc::report::counted;
 
 /// How to read the table.
 const HEAD: &str = "A fault strikes the first axis of a robot; in rows of homing, the axis that homes first. A brake \
@@ -88,7 +89,8 @@ impl Display for FaultTable {
         let tolerated = self.rows.iter().filter(|row| row.is_tolerated() && !row.is_red()).count();
         let (played, red) = (self.played(), self.red().count());
         let stopped = played - tolerated - red;
-        write!(f, "{played} rows: {stopped} stopped within their bounds, {tolerated} tolerated, {red} red; ")?;
+        let rows = counted(played, "row");
+        write!(f, "{rows}: {stopped} stopped within their bounds, {tolerated} tolerated, {red} red; ")?;
         write!(f, "{} without a meaning", self.rows.len() - played)
     }
 }

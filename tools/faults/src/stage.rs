@@ -144,7 +144,7 @@ impl<'a> Stage<'a> {
         let groups = groups.into_iter().map(|group| Without::wrap(group, without)).collect();
         let (mut servo, links) = Servo::new(&config, groups)?;
         let up = lockstep::bring_up(&mut servo, Instant::ZERO, |next| emulation.advance(next));
-        let now = up.map_err(|why| run::why_not_up(file, why)).context("bring-up")?;
+        let now = up.map_err(|why| run::diagnosed(file, &servo, why)).context("bring-up")?;
         let ids = emulation.ids().clone();
         let robots = file.cell.robot.iter().enumerate();
         let drives = robots.map(|(robot, given)| {

@@ -179,8 +179,8 @@ impl Course<'_> {
         }
         let late = report::percentiles(&ledger.total);
         let results = format!(
-            "{who}: {} cycles, late by p50 {:.3} p99 {:.3} p99.9 {:.3} max {:.1} µs",
-            ledger.total.len(),
+            "{who}: {}, late by p50 {:.3} p99 {:.3} p99.9 {:.3} max {:.1} µs",
+            mrroc::report::counted(ledger.total.len(), "cycle"),
             late.p50,
             late.p99,
             late.p999,

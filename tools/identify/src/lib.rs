@@ -182,7 +182,7 @@ pub fn identify(options: &Options) -> anyhow::Result<Measured<IdentifyReport>> {
     signals::on_ending_of_motion(motion.clone(), move |_| stop.request())?;
     outputs.begin()?;
     let ended = match options.bench {
-        BenchKind::Lockstep => in_lockstep(servo, session, emulation),
+        BenchKind::Lockstep => in_lockstep(&file, servo, session, emulation),
         _ => by_the_clock(&file, servo, session, emulation, guardian),
     };
     motion.is_over();
@@ -340,17 +340,23 @@ fn excite(servo: &mut Servo, (robot, axis): (usize, usize), mut run: Run, given:
     Ok(run)
 }
 
-fn not_up(error: NotUp) -> Unmeasured {
+fn not_up(file: &CellFile, servo: &Servo, error: NotUp) -> Unmeasured {
     match error {
-        NotUp::Group(group, error) => Unmeasured::Refused(anyhow!("drive group {group}: {error}")),
+        NotUp::Group(..) => Unmeasured::Refused(mrroc::run::diagnosed(file, servo, error)),
         NotUp::Stopped => Unmeasured::Stopped("stopped before the drives were up".into()),
     }
 }
 
-fn in_lockstep(mut servo: Servo, session: Session, emulation: Option<Emulation>) -> Result<Session, Unmeasured> {
+fn in_lockstep(
+    file: &CellFile,
+    mut servo: Servo,
+    session: Session,
+    emulation: Option<Emulation>,
+) -> Result<Session, Unmeasured> {
     let emulation = RefCell::new(emulation.expect("lockstep has emulated drives"));
     let between = |next| emulation.borrow_mut().advance(next);
-    let start = lockstep::bring_up(&mut servo, Instant::ZERO, between).map_err(not_up)?;
+    let start = lockstep::bring_up(&mut servo, Instant::ZERO, between);
+    let start = start.map_err(|error| not_up(file, &servo, error))?;
     let session = RefCell::new(session);
     lockstep::run(
         &mut servo,
@@ -371,7 +377,7 @@ fn by_the_clock(
 ) -> Result<Session, Unmeasured> {
     let done = Arc::new(AtomicBool::new(false));
     let finished = done.clone();
-    let since = clockwork::bring_up(&mut servo, &mut emulation).map_err(not_up)?;
+    let since = clockwork::bring_up(&mut servo, &mut emulation).map_err(|error| not_up(file, &servo, error))?;
     let realtime = file.cell.realtime;
     let until = move |_: &Servo| finished.load(Ordering::Relaxed);
     let stop = servo.stop_request();

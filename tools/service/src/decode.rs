@@ -30,6 +30,7 @@ use serde::{Serialize, Serializer};
 use super::pdo_map::{Pdo, PdoMap};
 use super::value::Shown;
 use super::words::{self, Identification};
+use mrroc::report::counted;
 use transfer::{Channel, Reading, Side};
 
 /// Service that a frame belongs to.
@@ -286,7 +287,7 @@ impl Decoder {
         let name = named(object);
         match initiate {
             Initiate::Expedited(data) => format!("{name} = {}", self.value(object, data.data(), node)),
-            Initiate::Segmented { size: Some(size) } => format!("{name}{colon} {size} bytes in segments"),
+            Initiate::Segmented { size: Some(size) } => format!("{name}{colon} {} in segments", counted(*size, "byte")),
             Initiate::Segmented { size: None } => format!("{name} in segments"),
         }
     }

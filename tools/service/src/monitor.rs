@@ -27,6 +27,7 @@ use super::{Bus, BusArgs};
 use mrroc::bench::interfaces::Interface;
 use mrroc::bench::silence;
 use mrroc::cell::CellFile;
+use mrroc::report::counted;
 use mrroc::setup;
 
 /// Message about an interface that was set down.
@@ -202,8 +203,10 @@ impl Health {
 /// Text about lost frames. An unreadable line of an slcan adapter may or may not have been a frame.
 fn loss(interface: &Interface, count: u64) -> String {
     match interface {
-        Interface::SocketCan(_) | Interface::Epos { .. } => format!("{count} frames lost, this host did not keep up"),
-        Interface::Slcan { .. } => format!("{count} frames lost or unreadable"),
+        Interface::SocketCan(_) | Interface::Epos { .. } => {
+            format!("{} lost, this host did not keep up", counted(count, "frame"))
+        }
+        Interface::Slcan { .. } => format!("{} lost or unreadable", counted(count, "frame")),
     }
 }
 

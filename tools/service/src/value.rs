@@ -3,6 +3,7 @@
 use std::fmt;
 
 use clap::ValueEnum;
+use mrroc::report::counted;
 use serde::Serialize;
 use thiserror::Error;
 
@@ -209,7 +210,7 @@ impl Shown {
             (Some(raw), Some(value), _) => format!("{raw:#0width$x}, {value}", width = 2 + 2 * data.len()),
             (_, _, Some(real)) => real.to_string(),
             _ if data.is_empty() => "no bytes".to_owned(),
-            _ => format!("{} bytes {bytes}", data.len()),
+            _ => format!("{} {bytes}", counted(data.len(), "byte")),
         };
         // The sign of the type is not known.
         if let Some(or @ ..0) = as_signed.filter(|_| ty.is_none() && !is_signed) {

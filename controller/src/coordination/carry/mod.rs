@@ -31,6 +31,7 @@ mod tests;
 use std::f64::consts::PI;
 use std::time::Duration;
 
+use can::counted;
 use nalgebra::{UnitQuaternion, Vector3};
 use thiserror::Error;
 
@@ -49,7 +50,7 @@ const CHECKED_EVERY: f64 = 0.02;
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
 #[expect(missing_docs, reason = "the messages say it")]
 pub enum CarryError {
-    #[error("a path of {given} places: give two at the least")]
+    #[error("a path of {}: give two at the least", counted(*.given, "place"))]
     Places { given: usize },
     #[error("leg {number} of the path has no length, or a coordinate that is not finite")]
     Leg { number: usize },

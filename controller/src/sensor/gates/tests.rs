@@ -223,7 +223,7 @@ fn impossible_gates_are_refused() {
     assert_eq!(with(|_| ()), None);
     type Change = fn(&mut LightGatesConfig);
     let table: [(Change, &str); 6] = [
-        (|config| config.gates.truncate(1), "1 gates, must be 2 to 4: a velocity needs two places"),
+        (|config| config.gates.truncate(1), "1 gate, must be 2 to 4: a velocity needs two places"),
         (|config| config.gates[1].place = 0.1, "gate 1: its place must be finite and beyond that of the gate before"),
         (
             |config| config.gates[0].place = f64::NAN,

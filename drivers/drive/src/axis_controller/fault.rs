@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use can::counted;
 use serial::LineError;
 use thiserror::Error;
 
@@ -13,26 +14,36 @@ use crate::{Fault, Refusal};
 #[expect(missing_docs, reason = "the messages document variants and fields")]
 pub enum AxisControllerFault {
     /// Answers were missing, damaged or implausible for more cycles than the cell allows. An emergency stop.
-    #[error("no answer to be believed for {cycles} cycles: check cable, power and a USB adapter's latency timer")]
+    #[error(
+        "no answer to be believed for {}: check cable, power and a USB adapter's latency timer",
+        counted(*.cycles, "cycle")
+    )]
     Silent { cycles: u32 },
     /// Answers came late, or late and not at all, for more cycles than the cell allows. Each belonged to an older
     /// request. An emergency stop.
     #[error(
-        "answers {periods} {} late for {cycles} cycles: check the load of the host and a USB adapter's latency timer",
-        if *.periods == 1 { "period" } else { "periods" }
+        "answers {} late for {}: check the load of the host and a USB adapter's latency timer",
+        counted(*.periods, "period"),
+        counted(*.cycles, "cycle")
     )]
     Delayed { cycles: u32, periods: u32 },
     /// The last answers had the same objects, although their requests asked for different ones. An emergency stop.
     #[error("the same answer to {answers} different requests: look for what repeats it, switch the drive off and on")]
     Repeated { answers: u32 },
     /// Answers that were accepted before came again, while the motor moved on. An emergency stop.
-    #[error("{answers} old answers again while the motor moves: check the adapter and what else is on the line")]
+    #[error(
+        "{} again while the motor moves: check the adapter and what else is on the line",
+        counted(*.answers, "old answer")
+    )]
     Old { answers: u32 },
     /// Answers came in the reversed order of their requests. An emergency stop.
-    #[error("answers in reversed order, {answers} pairs: check the adapter and its driver")]
+    #[error("answers in reversed order, {}: check the adapter and its driver", counted(*.answers, "pair"))]
     Reversed { answers: u32 },
     /// Answers were whole and had contents that contradict each other. An emergency stop.
-    #[error("{answers} whole answers with wrong contents: check cable, shield and ground, and the drive")]
+    #[error(
+        "{} with wrong contents: check cable, shield and ground, and the drive",
+        counted(*.answers, "whole answer")
+    )]
     Garbled { answers: u32 },
     /// The answers have the address of another drive. An emergency stop.
     #[error("answers come from address {address}: check which line goes where")]
@@ -48,7 +59,7 @@ pub enum AxisControllerFault {
     )]
     Late { missing: u32, cycles: u32 },
     /// The line took no set-point for more cycles than the cell allows: the drive follows an old one. An emergency stop.
-    #[error("set-point not taken by the line for {cycles} cycles")]
+    #[error("set-point not taken by the line for {}", counted(*.cycles, "cycle"))]
     NotSent { cycles: u32 },
     /// The line cannot be read or written. An emergency stop of the drives that are still connected.
     #[error("{0}: open it anew")]
@@ -57,13 +68,13 @@ pub enum AxisControllerFault {
     #[error("counter went from {from} to {to}, farther than the motor can move: home the axis again")]
     Jumped { from: i32, to: i32 },
     /// The answers stayed the same in every bit while the set-points changed. An emergency stop.
-    #[error("the same answer for {cycles} cycles after the set-points changed")]
+    #[error("the same answer for {} after the set-points changed", counted(*.cycles, "cycle"))]
     Frozen { cycles: u32 },
     /// The drive lost its reference without being told to: it was power-cycled.
     #[error("restarted: home the axis again")]
     Restarted,
     /// The drive keeps a reference that it was told to forget before the search for the index pulse.
-    #[error("kept its reference though told to forget it for {cycles} cycles: switch it off and on")]
+    #[error("kept its reference though told to forget it for {}: switch it off and on", counted(*.cycles, "cycle"))]
     KeepsReference { cycles: u32 },
     /// The drive shows a reference in a search, but its counter was not set by the index pulse.
     #[error(
@@ -193,7 +204,8 @@ pub enum AxisControllerError {
     #[error("no answer, waited {waited:.1?}: check that the cabinet is on, the cable, the baud rate, and the address")]
     Silent { waited: Duration },
     #[error(
-        "{bytes} bytes and no answer among them: check the baud rate, a USB adapter's latency timer, and what is on the line"
+        "{} and no answer among them: check the baud rate, a USB adapter's latency timer, and what is on the line",
+        counted(*.bytes, "byte")
     )]
     Garbled { bytes: u32 },
     #[error("speaks {found:?}, the cell says {expected:?}")]

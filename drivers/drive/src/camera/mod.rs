@@ -12,6 +12,7 @@ mod tests;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, TryLockError};
 use std::time::Duration;
 
+use can::counted_as;
 use thiserror::Error;
 
 pub use receiver::CameraReceiver;
@@ -65,7 +66,10 @@ pub enum CameraFault {
         age: Duration,
     },
     /// Bytes arrive that are no valid frames.
-    #[error("no valid picture for {age:.1?}: {discarded} bytes were no frame, or had a wrong CRC")]
+    #[error(
+        "no valid picture for {age:.1?}: {} no frame, or had a wrong CRC",
+        counted_as(*.discarded, "byte was", "bytes were")
+    )]
     Garbled {
         /// Time since the last valid picture.
         age: Duration,

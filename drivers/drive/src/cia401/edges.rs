@@ -1,6 +1,6 @@
 //! The last edges of all inputs of an I/O node, each with its time: a bounded queue for any number of readers.
 
-use can::Instant;
+use can::{Instant, counted_as};
 
 /// Number of edges that an image holds.
 pub const EDGES: usize = 32;
@@ -81,7 +81,10 @@ impl History {
 
 /// A reader came too late for some edges.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{count} edges of the node were lost: read the inputs before {EDGES} further edges")]
+#[error(
+    "{} lost at the node: read the inputs before {EDGES} further edges",
+    counted_as(*.count, "edge was", "edges were")
+)]
 pub struct EdgesLost {
     /// Number of the edges lost.
     pub count: u64,

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use can::PortError;
+use can::{PortError, counted};
 use canopen::Object;
 use thiserror::Error;
 
@@ -37,7 +37,7 @@ pub enum IoFault {
     #[error("node {node}: reset failed at object {object}")]
     NotConfigured { node: u8, object: Object },
     /// The port refused RPDO 1 for more cycles than the cell tolerates. The outputs have old levels.
-    #[error("node {node}: outputs not taken by the bus for {cycles} cycles")]
+    #[error("node {node}: outputs not taken by the bus for {}", counted(*.cycles, "cycle"))]
     OutputsNotSent { node: u8, cycles: u32 },
     /// The port took no heartbeat of the host for longer than the nodes wait for it.
     #[error("bus: the host's heartbeat was not sent for {waited:.1?}")]

@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use can::{counted, counted_as};
 use serial::LineError;
 use serial::ultrasonic::Reason;
 use thiserror::Error;
@@ -18,10 +19,13 @@ pub enum UltrasonicFault {
     #[error("ultrasonic matrix ended, its line has no controller any more")]
     Ended,
     /// More queries in a row than tolerated had no reply.
-    #[error("no reply to {queries} queries: check cable and supply of the matrix")]
+    #[error("no reply to {}: check cable and supply of the matrix", counted_as(*.queries, "query", "queries"))]
     Silent { queries: u32 },
     /// More queries in a row than tolerated had no valid reply, and `readings` readings were something else.
-    #[error("{readings} readings since the last reply were no reply: check the cable of the matrix and restart it")]
+    #[error(
+        "{} no reply since the last one: check the cable of the matrix and restart it",
+        counted_as(*.readings, "reading was", "readings were")
+    )]
     Garbage { readings: u32 },
     /// The matrix refused a query.
     #[error("the matrix refused command {command:#04x} with reason {reason}: check its size")]
@@ -39,7 +43,7 @@ pub enum UltrasonicError {
     #[error("no answer, waited {waited:.1?}: check supply and cable of the matrix, and its baud rate")]
     Absent { waited: Duration },
     /// Bytes were received, but no identity.
-    #[error("{bytes} bytes and no identity among them: check the baud rate and the device on the line")]
+    #[error("{} and no identity among them: check the baud rate and the device on the line", counted(*.bytes, "byte"))]
     Garbled { bytes: u32 },
     /// The matrix has another number of elements.
     #[error("the matrix has {found} × {found} elements, declared were {declared} × {declared}")]

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use can::PortError;
+use can::{PortError, counted, counted_as};
 use serial::LineError;
 use thiserror::Error;
 
@@ -23,17 +23,23 @@ pub enum WrenchFault {
     Ended,
     /// More samples in a row are missing than [`tolerated_missing`](super::WrenchConfig::tolerated_missing). `cycles`:
     /// number of servo cycles without a sample.
-    #[error("no sample for {cycles} cycles: check cable and supply of the sensor")]
+    #[error("no sample for {}: check cable and supply of the sensor", counted(*.cycles, "cycle"))]
     Silent { cycles: u32 },
     /// Too many samples are missing, and `readings` readings since the last sample did not have the length of an
     /// answer.
-    #[error("{readings} readings since the last sample were no answer of the sensor: check its cable and restart it")]
+    #[error(
+        "{} no answer of the sensor since the last sample: check its cable and restart it",
+        counted_as(*.readings, "reading was", "readings were")
+    )]
     Garbage { readings: u32 },
     /// Samples come at the declared rate, but more than a fifth of the last samples is missing.
     #[error("{missing} of {of} samples missing: check cable, adapter and load of the connection")]
     Missing { missing: u32, of: u32 },
     /// CAN: too many samples are missing, and `samples` of them lacked a frame, or had a frame after the next SYNC.
-    #[error("{samples} samples without all their frames: reduce the load of the bus, or check the PDOs of the sensor")]
+    #[error(
+        "{} without all frames: reduce the load of the bus, or check the PDOs of the sensor",
+        counted(*.samples, "sample")
+    )]
     Incomplete { samples: u32 },
     /// The reading went beyond the configured range after readings within it: a contact of the tool, or a load that was
     /// added. The true load may be greater.
@@ -130,7 +136,10 @@ pub enum WrenchError {
     #[error("no answer, waited {waited:.1?}: check supply and cable of the sensor, and its {address}")]
     Absent { waited: Duration, address: &'static str },
     /// On a serial line: bytes were received, but no answer.
-    #[error("{bytes} bytes and no answer of {length} among them: check the baud rate and the device on the line")]
+    #[error(
+        "{} and no answer of {length} among them: check the baud rate and the device on the line",
+        counted(*.bytes, "byte")
+    )]
     Garbled { bytes: u32, length: usize },
     /// On a serial line: most answers took more than a period.
     #[error("{late} of {answers} answers took more than a period: set the adapter's latency timer to 1 ms")]
@@ -144,7 +153,10 @@ pub enum WrenchError {
     #[error("{missing} of {of} samples missing: check cable, adapter and load of the connection")]
     Missing { missing: u32, of: u32 },
     /// Every sample lacked a frame, or had a frame after the next SYNC.
-    #[error("{samples} samples without all their frames: reduce the load of the bus, or check the PDOs of the sensor")]
+    #[error(
+        "{} without all frames: reduce the load of the bus, or check the PDOs of the sensor",
+        counted(*.samples, "sample")
+    )]
     Incomplete { samples: u32 },
     #[error("a sample every {found:.1?}, declared was {declared:?}: set the rate of the sensor")]
     OfAnotherRate { declared: Duration, found: Duration },

@@ -7,7 +7,7 @@ use super::{Checked, refused, robots::NEAR, twice, unique, within};
 use crate::cell::{Camera, Cell, Path, Range, quoted};
 
 /// Greatest number of cameras of a cell.
-const MOST: usize = 8;
+pub(super) const MOST: usize = 8;
 
 /// Latest time of an emulated event, s.
 const LATEST: f64 = 1e6;

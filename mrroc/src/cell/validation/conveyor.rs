@@ -6,7 +6,7 @@ use super::{Checked, refused, within};
 use crate::cell::{Cell, EmulatedConveyor, EmulatedGate, EmulatedObject, EmulatedScene, Path, Range, quoted};
 
 /// Greatest number of conveyors, of objects and of light gates, each.
-const MOST: usize = 64;
+pub(super) const MOST: usize = 64;
 
 /// Greatest share of the travel direction that may be vertical.
 const LEVEL: f64 = 1e-6;

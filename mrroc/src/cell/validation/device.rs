@@ -5,7 +5,7 @@ use super::{Checked, refused, robots::NEAR, twice, unique, within};
 use crate::cell::{Cell, Device, Path, Range};
 
 /// Greatest number of devices of a cell.
-const MOST: usize = 32;
+pub(super) const MOST: usize = 32;
 
 /// Latest time of an emulated event, s.
 const LATEST: f64 = 1e6;

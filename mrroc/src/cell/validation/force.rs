@@ -9,7 +9,7 @@ use crate::bench::interfaces::Interface;
 use crate::cell::{Cell, EmulatedTemperature, ForceSensor, Path, Plant, Range, quoted};
 
 /// Greatest number of force sensors of a cell.
-const MOST: usize = 32;
+pub(super) const MOST: usize = 32;
 
 /// Greatest length of a quaternion's deviation from a unit quaternion.
 const UNIT: f64 = 1e-3;

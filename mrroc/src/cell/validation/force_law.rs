@@ -2,6 +2,7 @@
 
 use super::{Checked, refused, within};
 use crate::cell::{Cell, ForceLaw, Path, Range, Robot, quoted};
+use crate::report::counted;
 
 pub(super) fn check(cell: &Cell) -> Checked {
     for (index, robot) in cell.robot.iter().enumerate() {
@@ -31,7 +32,11 @@ fn check_law(cell: &Cell, robot: &Robot, path: &Path, law: &ForceLaw) -> Checked
     let lists = [("displacement", &law.displacement), ("velocity", &law.velocity), ("acceleration", &law.acceleration)];
     for (key, values) in lists {
         if values.len() != count {
-            return refused(path, key, format!("has {} values, must have {count}, one per axis", values.len()));
+            return refused(
+                path,
+                key,
+                format!("has {}, must have {count}, one per axis", counted(values.len(), "value")),
+            );
         }
     }
     let arm = robot.kinematics().map_err(|error| (path.clone(), error.to_string()))?;

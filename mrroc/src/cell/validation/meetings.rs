@@ -2,6 +2,7 @@
 
 use super::Checked;
 use crate::cell::{Cell, Meeting, Path, instruction_path};
+use crate::report::counted;
 
 /// Greatest number of meetings of a cell, each counted once.
 const MOST: usize = 256;
@@ -36,10 +37,11 @@ fn lonely(cell: &Cell, Meeting { name, robots }: &Meeting) -> Option<(Path, Stri
     let least = times(other);
     let robot = robots.iter().copied().find(|robot| times(*robot) > least)?;
     let why = format!(
-        "robot {:?} comes {} times to meeting {name:?}, robot {:?} {least} times",
+        "robot {:?} comes {} to meeting {name:?}, robot {:?} {}",
         called(robot),
-        times(robot),
+        counted(times(robot), "time"),
         called(other),
+        counted(least, "time"),
     );
     Some((path(robot, least)?, why))
 }

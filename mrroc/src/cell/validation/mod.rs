@@ -26,9 +26,16 @@ use servo::KeyError;
 use super::error::{Path, Step};
 use super::{Cell, Range, out_of_range, text};
 use crate::guardian::LONGEST_SILENCE_MS;
+use crate::report::counted;
 
 /// Greatest number of robots of a cell, and of buses and bundles together.
 const MOST: usize = 32;
+
+/// Greatest numbers of robots, buses, ultrasonic matrices, force sensors, cameras and conveyors of a cell.
+#[cfg(test)]
+pub(crate) const fn most_devices() -> [usize; 7] {
+    [MOST, MOST, ultrasonic::MOST, force::MOST, camera::MOST, conveyor::MOST, device::MOST]
+}
 
 /// The first value that is refused, and why.
 type Checked = Result<(), (Path, String)>;
@@ -117,9 +124,9 @@ fn some(path: &Path, key: &'static str, found: usize, most: usize, what: &str) -
     }
 }
 
-/// Refuses a list of another length than `expected`.
+/// Refuses a list of another length than `expected`. `what` is the noun of one element.
 fn count(path: Path, found: usize, expected: usize, what: &str) -> Checked {
-    if found == expected { Ok(()) } else { Err((path, format!("has {found} {what}, must have {expected}"))) }
+    if found == expected { Ok(()) } else { Err((path, format!("has {}, must have {expected}", counted(found, what)))) }
 }
 
 /// Refuses a `what` for the value of `key` in element `index` of the list at `list`, if an earlier element has the same.

@@ -33,7 +33,7 @@ fn check_joints(path: &Path, joints: &Joints, robot: &Robot) -> Checked {
     some(path, "poses", joints.poses.len(), MOST, "poses")?;
     for (index, pose) in joints.poses.iter().enumerate() {
         let path = poses.then(index);
-        count(path.clone(), pose.len(), robot.axis.len(), "joint values")?;
+        count(path.clone(), pose.len(), robot.axis.len(), "joint value")?;
         for (joint, value) in pose.iter().enumerate() {
             within(&path, joint, *value, FARTHEST)?;
         }

@@ -20,7 +20,7 @@ pub(super) fn check(cell: &Cell) -> Checked {
         let kinematics = robot.kinematics().map_err(|error| (path.then(key), error.to_string()))?;
         robot.numbers().check_mechanism().map_err(|error| (path.then(key), error))?;
         let axes = path.then("axis");
-        count(axes.clone(), robot.axis.len(), robot.numbers().axes(), "axes")?;
+        count(axes.clone(), robot.axis.len(), robot.numbers().axes(), "axis")?;
         let (limits, home) = (kinematics.motor_limits(), kinematics.home());
         for (number, axis) in robot.axis.iter().enumerate() {
             let path = axes.then(number);

@@ -7,7 +7,7 @@ use super::{Checked, refused, robots::NEAR, twice, unique, within};
 use crate::cell::{Cell, Path, Range, Ultrasonic, quoted};
 
 /// Greatest number of matrices of a cell.
-const MOST: usize = 32;
+pub(super) const MOST: usize = 32;
 
 /// Latest time of an emulated event, s.
 const LATEST: f64 = 1e6;

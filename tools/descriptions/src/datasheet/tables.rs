@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 
 use controller::robot::RobotParameters as _;
-use mrroc::cell::Model;
+use mrroc::cell::{JOINT_LIMITS, Model, PLANNED};
 
 use crate::kinematics::Machine;
 use crate::robots::{Description, described};
@@ -66,6 +66,7 @@ pub(crate) fn sheet(machine: &Machine) -> String {
         );
         lines(&mut page, &described_as, &presets, |of| &of.drives);
     }
+    joint_motions(&mut page);
     links(&mut page, machine);
     if !described_as.loops.is_empty() {
         // The values in the table are copied from results of `mrroc identify`.
@@ -89,6 +90,20 @@ pub(crate) fn sheet(machine: &Machine) -> String {
          `mrroc datasheet --robot {name}{of_cell}` prints this page, with `--figure` its figure.\n"
     );
     page
+}
+
+/// Adds what the fractions of joint motions are fractions of.
+fn joint_motions(page: &mut String) {
+    let ((velocity, acceleration, _), (of_velocity, of_acceleration)) = (JOINT_LIMITS, PLANNED);
+    let _ = write!(
+        page,
+        "## Joint motions\n\nVelocity and acceleration of joint motions are fractions of {velocity} rad/s and {acceleration} \
+         rad/s² ({velocity} m/s and {acceleration} m/s² of a linear joint), whatever the limits of the cell. They are less \
+         where a motor would exceed {:.0} % of its `max_velocity` or {:.0} % of its `max_acceleration` in the cell \
+         file.\n\n",
+        100.0 * of_velocity,
+        100.0 * of_acceleration
+    );
 }
 
 /// Adds the table of links and motors, from which descriptions compute inertia, velocities and efforts. A row that

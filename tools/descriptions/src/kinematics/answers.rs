@@ -7,7 +7,7 @@ use controller::robot::{Joints, KinematicsError, Limits, Link, Singularity, Solu
 use controller::trajectory_file::TrajectoryFile;
 use serde::Serialize;
 
-use super::Machine;
+use super::{Machine, singular};
 
 /// Four turns, rad. A larger joint position beyond its limit was probably given in degrees (or mm).
 const DEGREES: f64 = 8.0 * std::f64::consts::PI;
@@ -123,9 +123,12 @@ impl Answer {
     }
 
     /// Joint positions for a pose, the solution nearest to `--near` first.
-    pub(super) fn inverse(machine: &Machine, solutions: &Solutions) -> Self {
+    pub(super) fn inverse(machine: &Machine, solutions: &Solutions, near: &Joints) -> Self {
+        let singular = singular::note(&*machine.robot, solutions.preferred(), near, "--near");
         let solutions = solutions.iter().map(|joints| joints.to_vec()).collect();
-        Self::of(machine, Values::Inverse { solutions })
+        let mut answer = Self::of(machine, Values::Inverse { solutions });
+        answer.notes.extend(singular.map(|note| format!("the nearest posture is {note}")));
+        answer
     }
 
     /// Jacobian and distance from a singularity at these joints.

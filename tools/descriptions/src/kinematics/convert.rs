@@ -9,7 +9,7 @@ use controller::trajectory_file::{Coordinates, JointConvention, TrajectoryError,
 use mrroc::tasks::convention;
 use mrroc::{input, streams};
 
-use super::{Common, Machine, machine};
+use super::{Common, Machine, machine, singular};
 
 /// Greatest size of a trajectory file, bytes.
 const LARGEST: usize = 64 << 20;
@@ -49,7 +49,8 @@ pub(super) fn convert(machine: &Machine, options: &Conversion) -> anyhow::Result
     for note in notes {
         streams::warn(format_args!("mrroc: {place}: {note}"));
     }
-    if matches!(file.coordinates(), Coordinates::XyzEulerZyz | Coordinates::XyzAngleAxis) {
+    let is_tool = matches!(file.coordinates(), Coordinates::XyzEulerZyz | Coordinates::XyzAngleAxis);
+    if is_tool {
         streams::warn(format_args!(
             "mrroc: {place}: the tool moves from pose to pose by a motion of the joints; each joint has the least \
              fraction of its row"
@@ -59,5 +60,17 @@ pub(super) fn convert(machine: &Machine, options: &Conversion) -> anyhow::Result
         TrajectoryError::TwoReadings(_) => anyhow!("{error}: give --joints"),
         error => error.into(),
     });
-    converted.with_context(|| place.clone())
+    let converted = converted.with_context(|| place.clone())?;
+    if is_tool {
+        let mut before = arm.given(&start);
+        for (pose, number) in converted.poses().iter().zip(1..) {
+            let joints = arm.given(&pose.position);
+            let near = if number == 1 { "--near" } else { "the pose before" };
+            if let Some(note) = singular::note(arm.robot(), &joints, &before, near) {
+                streams::warn(format_args!("mrroc: {place}: pose {number} is {note}"));
+            }
+            before = joints;
+        }
+    }
+    Ok(converted)
 }

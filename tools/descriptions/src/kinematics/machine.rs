@@ -12,6 +12,7 @@ use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
 
 use crate::robots::described;
 use mrroc::cell::{self, Axis, CellFile, Model, Parameters};
+use mrroc::report::counted;
 
 /// Tolerance of the norm of a quaternion.
 const NORM: f64 = 0.01;
@@ -170,8 +171,8 @@ fn list(option: &str, text: &str) -> anyhow::Result<Vec<f64>> {
 
 pub(super) fn exactly<const N: usize>(option: &str, text: &str, form: &str) -> anyhow::Result<[f64; N]> {
     let numbers = list(option, text)?;
-    let count = numbers.len();
-    numbers.try_into().map_err(|_| anyhow!("{option}: {count} numbers, not the {N} of {form}"))
+    let count = counted(numbers.len(), "number");
+    numbers.try_into().map_err(|_| anyhow!("{option}: {count}, not the {N} of {form}"))
 }
 
 /// Parses a pose from its position and its quaternion.

@@ -24,6 +24,7 @@ use anyhow::anyhow;
 use can::Instant;
 use hil::FaultInEffect;
 use mrroc::cell::{Axis, CellFile};
+use mrroc::report::counted;
 use mrroc::scenario::axis_place;
 use servo::MAX_AXES;
 
@@ -348,7 +349,7 @@ impl Soak<'_> {
 
     fn fail(&mut self, what: &str, strike: Option<&Strike>, why: &str) {
         let restarts = strike.map_or(0, |strike| strike.restarts);
-        let what = format!("{what}: {why} ({restarts} restarts)");
+        let what = format!("{what}: {why} ({})", counted(restarts, "restart"));
         self.report.fail(self.stage.now, what);
     }
 }

@@ -124,7 +124,7 @@ impl Stage {
             reached = next;
         });
         self.now = reached;
-        up.map_err(|why| run::why_not_up(file, why)).context("bring-up")?;
+        up.map_err(|why| run::diagnosed(file, &servo, why)).context("bring-up")?;
         let counts = self.counts.clone();
         let program = Program::of(async move |cell: &mut Cell| work(cell, &counts).await);
         let mut executor = program.begin(&self.file, equipment, false, Turns::default());

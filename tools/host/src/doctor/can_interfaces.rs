@@ -6,6 +6,7 @@ use super::finding::{Finding, Verdict};
 use super::fix::{Fix, Knob};
 use super::link::Link;
 use super::tree::{Tree, cpu_list, cpu_ranges};
+use mrroc::report::counted;
 
 const NET: &str = "/sys/class/net";
 
@@ -200,14 +201,16 @@ fn errors(of: &str, up: bool, link: &Link) -> Option<Finding> {
     let controller = &link.info.controller;
     let state = controller.state.as_deref().filter(|_| up)?;
     let (counters, statistics) = (controller.error_counters, link.info.statistics);
-    let counted = counters.map(|counters| format!("errors tx {} rx {}", counters.tx, counters.rx));
-    let counted = counted.as_deref().unwrap_or("no error counters");
+    let told = counters.map(|counters| format!("errors tx {} rx {}", counters.tx, counters.rx));
+    let told = told.as_deref().unwrap_or("no error counters");
     let finding = Finding::new(
         of,
         "bus state",
         format!(
-            "{state}, {counted}; error-passive {} times, bus-off {} times, restarted {} times",
-            statistics.error_passive, statistics.bus_off, statistics.restarts
+            "{state}, {told}; error-passive {}, bus-off {}, restarted {}",
+            counted(statistics.error_passive, "time"),
+            counted(statistics.bus_off, "time"),
+            counted(statistics.restarts, "time")
         ),
         "causes of errors on an idle bus: a missing terminator of 120 Ω, two bit rates, or no other node that \
          acknowledges",

@@ -3,6 +3,7 @@
 use std::collections::BTreeSet;
 
 use mrroc::cell::{Policy, Realtime};
+use mrroc::report::counted;
 use servo::thread::Denial;
 
 use super::finding::{Finding, Verdict};
@@ -150,7 +151,11 @@ pub(super) fn steal(cpuinfo: &str, before: &str, after: &str) -> Finding {
     Finding::new(
         OF,
         "steal time",
-        format!("{host}, {stolen} ticks of 10 ms stolen while this looked, {} since the boot", stolen_ticks(after)),
+        format!(
+            "{host}, {} of 10 ms stolen while this looked, {} since the boot",
+            counted(stolen, "tick"),
+            stolen_ticks(after)
+        ),
         "a hypervisor stops the whole machine whenever it likes, and no setting inside can prevent that",
     )
     .judged(
@@ -273,7 +278,7 @@ mod tests {
         for (cpuinfo, before, after, verdict) in table {
             let finding = steal(cpuinfo, &stat(before), &stat(after));
             assert_eq!(finding.verdict, verdict);
-            let told = format!("{} ticks", after - before);
+            let told = counted(after - before, "tick");
             assert!(finding.read.contains(&told), "{}", finding.read);
         }
     }

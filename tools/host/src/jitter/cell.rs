@@ -109,8 +109,8 @@ impl<'a> MeasuredCell<'a> {
         if let Some(emulation) = emulation.as_mut().filter(|_| self.traffic) {
             emulation.add_traffic();
         }
-        let since =
-            clockwork::bring_up(&mut servo, &mut emulation).map_err(|error| mrroc::run::why_not_up(file, error))?;
+        let since = clockwork::bring_up(&mut servo, &mut emulation);
+        let since = since.map_err(|error| mrroc::run::diagnosed(file, &servo, error))?;
         for link in &mut links {
             let ordered = link.orders.push(Order::Enable);
             ordered.map_err(|_| anyhow!("no order could be given"))?;

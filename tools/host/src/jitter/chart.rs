@@ -1,6 +1,7 @@
 //! `jitter.svg`: latency by percentile on an axis of nines, and the worst of each interval over time.
 
 use mrroc::charts::{COLOURS, ChartError, RGBColor, Scale, key, line, panel, px, segments, sheet, titled};
+use mrroc::report::counted;
 
 use super::interval::{Counts, Ledger};
 
@@ -35,7 +36,7 @@ pub(super) fn chart(setting: &str, ours: Curve, peer: Option<Curve>) -> Result<S
     let end = curves().flat_map(|((_, curve), _)| curve.series.times.last().map(|last| last[1]));
     let seconds = end.fold(0.0, f64::max).max(1e-3);
     let time = Scale::exact("time since the beginning, s", [0.0, seconds]);
-    let said = |(name, curve): Curve| format!("{name}, {} cycles", curve.total.len());
+    let said = |(name, curve): Curve| format!("{name}, {}", counted(curve.total.len(), "cycle"));
     let named: Vec<_> = curves().map(|(curve, colour)| (said(curve), colour)).collect();
     sheet(SIZE, "Wake-up error", |area| {
         let (beside, area) = titled(area, "Wake-up error", setting)?;

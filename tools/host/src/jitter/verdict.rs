@@ -13,7 +13,7 @@ use std::fmt::Write as _;
 
 use serde::Serialize;
 
-use mrroc::report::Percentiles;
+use mrroc::report::{Percentiles, counted};
 
 /// Minimum number of cycles for a statement about 999 of 1000: the latest thousandth has then a hundred cycles.
 const ENOUGH: u64 = 100_000;
@@ -128,7 +128,7 @@ pub(super) fn words(fits: &[Fit], tail: Option<&Tail>, cycles: u64, loaded: bool
     }
     match (cycles < ENOUGH, loaded) {
         (true, _) => {
-            let _ = write!(said, "; provisional: {cycles} cycles, {ENOUGH} say something of p99.9");
+            let _ = write!(said, "; provisional: {}, {ENOUGH} say something of p99.9", counted(cycles, "cycle"));
         }
         (false, false) => said += "; provisional: the host was not loaded (--load)",
         (false, true) => {}

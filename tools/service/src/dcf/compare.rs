@@ -8,6 +8,7 @@ use anyhow::bail;
 use canopen::Object;
 use canopen::eds::{DataType, Eds, Parameter, ParameterValue, Value, Variable};
 use canopen::objects::DEVICE_TYPE;
+use mrroc::report::{counted, counted_as};
 use mrroc::streams;
 use serde::Serialize;
 
@@ -118,6 +119,8 @@ impl fmt::Display for Report {
         }
         let Self { name, file, compared, not_compared, differences, .. } = self;
         let differing = differences.len();
-        writeln!(f, "{name}: {differing} of {compared} values differ from {file}; {not_compared} are not compared")
+        let (of, differ) = (counted(*compared, "value"), if differing == 1 { "differs" } else { "differ" });
+        let not = counted_as(*not_compared, "is", "are");
+        writeln!(f, "{name}: {differing} of {of} {differ} from {file}; {not} not compared")
     }
 }

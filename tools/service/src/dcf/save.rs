@@ -14,6 +14,7 @@ use canopen::objects::{self, DEVICE_TYPE, PRODUCT_CODE, REVISION, SERIAL_NUMBER,
 use canopen::{NodeId, Object};
 use drive::cia402::reserved;
 use mrroc::outputs::{Outputs, Replacement};
+use mrroc::report::counted_as;
 use mrroc::streams;
 use serde::Serialize;
 
@@ -197,7 +198,9 @@ fn of_names(reader: &mut Reader) -> anyhow::Result<(Eds, Vec<Absent>)> {
 impl fmt::Display for Report {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { name, file, values, notes, absent, .. } = self;
-        writeln!(f, "{name}: {values} values are in {file}, {notes} of them are notes")?;
+        let values = counted_as(*values, "value is", "values are");
+        let notes = counted_as(*notes, "of them is a note", "of them are notes");
+        writeln!(f, "{name}: {values} in {file}, {notes}")?;
         let mut reasons: Vec<(&str, Vec<Object>)> = Vec::new();
         for Absent { index, subindex, reason } in absent {
             let object = Object::new(*index, *subindex);

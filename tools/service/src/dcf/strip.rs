@@ -10,6 +10,7 @@ use anyhow::{Context, bail};
 use canopen::eds;
 use mrroc::cell::{Checked, Refused};
 use mrroc::outputs::{Outputs, Replacement};
+use mrroc::report::{counted, counted_as};
 use mrroc::streams;
 use serde::Serialize;
 
@@ -85,11 +86,12 @@ fn reason(refused: &Refused) -> String {
 impl fmt::Display for Report {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let reserved = self.left_out.iter().filter(|line| line.reserved).count();
-        write!(f, "{}: {} values", self.file, self.values)?;
+        write!(f, "{}: {}", self.file, counted(self.values, "value"))?;
         match self.left_out.len() {
             0 => writeln!(f, "; no line had to be left out"),
             lines => {
-                writeln!(f, "; {lines} lines are left out, {reserved} of them of objects that belong to the driver")
+                let lines = counted_as(lines, "line is", "lines are");
+                writeln!(f, "; {lines} left out, {reserved} of them of objects that belong to the driver")
             }
         }?;
         let others = self.left_out.iter().filter(|line| !line.reserved);

@@ -5,6 +5,7 @@ use canopen::Object;
 use canopen::sdo::block;
 
 use super::{bytes, named, transfer};
+use mrroc::report::counted;
 
 pub(super) fn request(request: block::Request) -> String {
     use block::Request::{Acknowledge, EndDownload, EndUpload, InitiateDownload, InitiateUpload, StartUpload};
@@ -43,7 +44,7 @@ pub(super) fn unknown(frame: &Frame, other: &str) -> String {
 }
 
 fn of_size(size: Option<u32>) -> String {
-    size.map_or(String::new(), |size| format!(", {size} bytes"))
+    size.map_or(String::new(), |size| format!(", {}", counted(size, "byte")))
 }
 
 fn acknowledged(taken: &block::Acknowledge) -> String {

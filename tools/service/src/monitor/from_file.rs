@@ -14,6 +14,7 @@ use super::{Decoder, Described, Kind, MonitorLine, Options, is_broken_pipe, of_c
 use crate::name_in;
 use mrroc::bench::interfaces::Interface;
 use mrroc::cell::CellFile;
+use mrroc::report::{counted, counted_as};
 
 /// Longest line that is read, bytes: a CAN XL frame with 2048 bytes of data, and its head.
 const LONGEST: usize = 8192;
@@ -176,19 +177,15 @@ impl Log {
     /// Lines with the numbers of frames and of skipped lines.
     fn counts(&self) -> Vec<String> {
         let Self { frames, newer, errors, dropped, .. } = self;
-        let mut counts = vec![format!("{frames} frames in {} lines", self.line)];
-        let table = [
-            (newer, "CAN FD or CAN XL frames are not decoded"),
-            (errors, "error frames"),
-            (dropped, "frames were lost while the log was written (DROPCOUNT)"),
-        ];
-        counts
-            .extend(table.into_iter().filter(|(count, _)| **count > 0).map(|(count, text)| format!("{count} {text}")));
-        counts.extend(
-            self.skipped.values().map(|Skipped { error, count, line }| {
-                format!("{count} lines skipped, the first is line {line}: {error}")
-            }),
-        );
+        let mut counts = vec![format!("{} in {}", counted(*frames, "frame"), counted(self.line, "line"))];
+        let newer_told =
+            counted_as(*newer, "CAN FD or CAN XL frame is", "CAN FD or CAN XL frames are") + " not decoded";
+        let lost = counted_as(*dropped, "frame was", "frames were") + " lost while the log was written (DROPCOUNT)";
+        let table = [(newer, newer_told), (errors, counted(*errors, "error frame")), (dropped, lost)];
+        counts.extend(table.into_iter().filter(|(count, _)| **count > 0).map(|(_, text)| text));
+        counts.extend(self.skipped.values().map(|Skipped { error, count, line }| {
+            format!("{} skipped, the first is line {line}: {error}", counted(*count, "line"))
+        }));
         counts
     }
 }

@@ -60,11 +60,11 @@ fn a_log_of_a_colleague_is_decoded_as_on_the_bus_and_its_other_lines_are_counted
         counts,
         [
             "8 frames in 13 lines",
-            "1 CAN FD or CAN XL frames are not decoded",
-            "1 error frames",
+            "1 CAN FD or CAN XL frame is not decoded",
+            "1 error frame",
             "3 frames were lost while the log was written (DROPCOUNT)",
             "2 lines skipped, the first is line 1: expected a time such as (1795242630.522011)",
-            "1 lines skipped, the first is line 11: expected nothing, T or R behind the frame",
+            "1 line skipped, the first is line 11: expected nothing, T or R behind the frame",
         ]
     );
 }
@@ -97,7 +97,7 @@ DROPCOUNT: dropped 1 CAN frame on 'can0' socket (total drops 1)
 fn a_line_without_an_end_is_cut_and_counted_once() {
     let log = format!("{}\n(1.000000) can0 080#", "x".repeat(3 * LONGEST));
     let (lines, counts) = shown(&log, "");
-    assert_eq!((lines.len(), counts[0].as_str()), (1, "1 frames in 2 lines"));
+    assert_eq!((lines.len(), counts[0].as_str()), (1, "1 frame in 2 lines"));
 }
 
 #[test]
