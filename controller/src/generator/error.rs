@@ -73,13 +73,6 @@ pub enum GeneratorError {
          joint or of its motor: begin the path in another turn of the axis, or divide the path"
     )]
     Turn { s: f64, axis: u8, by: f64 },
-    /// The path is too close to a singularity: one axis would slow the path too much. `times` is the factor by which
-    /// its velocity or acceleration limit slows the path.
-    #[error(
-        "at {s:.4} of the path: axis {axis} needs {times:.0} times its limit beside a singular posture: lead the path farther \
-         from it, or move the joints"
-    )]
-    Singular { s: f64, axis: u8, times: f64 },
     /// A [`Contour`](super::Contour) begins where the tool stands.
     #[error("tool stands {distance:.6} m and {angle:.6} rad from the start of the path: move the tool there first")]
     NotAtStart { distance: f64, angle: f64 },

@@ -58,8 +58,10 @@
 //! Read [`Generator`] first, then [`Wait`] as the smallest generator and [`Newsmooth`] as a planned generator.
 
 mod bounds;
+mod cells;
 mod constant_velocity;
 mod contour;
+mod demands;
 pub(crate) mod digest;
 mod error;
 mod execution;
@@ -73,7 +75,9 @@ mod line;
 mod newsmooth;
 mod operator;
 mod outputs;
+mod pacing;
 mod path_timing;
+mod peaks;
 mod plan;
 mod polynomial;
 mod profile;
@@ -81,6 +85,7 @@ mod progress;
 mod selection;
 mod slowed;
 mod survey;
+mod sweep;
 #[cfg(test)]
 mod tests;
 mod through;

@@ -41,6 +41,13 @@ impl Place {
         place
     }
 
+    /// Bounds the speed at this place, 1/s, because of a joint.
+    pub(super) fn bound(&mut self, speed: f64, joint: u8) {
+        if self.speed * speed < 1.0 {
+            (self.speed, self.fastest) = (1.0 / speed, joint);
+        }
+    }
+
     pub(super) fn between(&self, next: &Self, s: f64) -> Self {
         let share = ((s - self.s) / (next.s - self.s)).clamp(0.0, 1.0);
         let mix = |a: &Axes, b: &Axes| std::array::from_fn(|axis| a[axis] + share * (b[axis] - a[axis]));

@@ -174,10 +174,9 @@ impl Path {
         [1, 2].map(|derivative| ends[0][derivative].abs().max(ends[1][derivative].abs()))
     }
 
-    /// Largest rate of turn on the whole path, rad/m, and whether the rate changes with the arc length.
-    pub(crate) fn turning_rate(&self) -> (f64, bool) {
-        let rate = self.turns.iter().map(Turn::max_rate).fold(0.0, f64::max);
-        (rate, self.turns.iter().any(|turn| turn.eased && turn.angle > 0.0))
+    /// Largest rate of turn on the whole path, rad/m.
+    pub(crate) fn max_turning_rate(&self) -> f64 {
+        self.turns.iter().map(Turn::max_rate).fold(0.0, f64::max)
     }
 }
 

@@ -200,7 +200,7 @@ fn a_contour_takes_the_duration_of_its_feed_in_whole_macrosteps() {
 }
 
 #[test]
-fn an_axis_beyond_its_limit_slows_the_whole_contour() {
+fn an_axis_beyond_its_limit_slows_the_contour() {
     let arm = irp6();
     let (image, start) = standing(&arm);
     let path = letter(&start);
@@ -245,8 +245,33 @@ fn a_contour_that_the_arm_cannot_follow_is_refused_before_the_motion() {
     let mut lame = joint_limits();
     lame.max_velocity[3] = f64::NAN;
     assert_eq!(along(LIMITS, lame), Err(GeneratorError::Limit { axis: 3 }));
-    let weak = MotionLimits::uniform(1e-5, 7.0, 70.0);
+    let weak = MotionLimits::uniform(1e-10, 7.0, 70.0);
     let mut crawling = Contour::along(arm.clone(), letter(&start), LIMITS, weak).unwrap();
     let crawls = commanded(&mut crawling, &image).unwrap_err();
-    assert!(matches!(crawls, GeneratorError::Singular { .. }), "{crawls}");
+    assert!(matches!(crawls, GeneratorError::TooLong { .. }), "{crawls}");
+}
+
+#[test]
+fn a_contour_past_a_singular_wrist_is_slow_only_there_unless_its_speed_is_to_be_constant() {
+    let arm = irp6();
+    let mut joints = BENT;
+    joints[4] = 0.05;
+    let pose = arm.forward(&joints).unwrap();
+    let at_rest = AxesState::at_rest(joints);
+    let image = EffectorImage::standing(EffectorState { motors: at_rest, joints: at_rest, pose });
+    let path = line(&pose, Vector3::new(0.0, 0.2, 0.1), Vector3::zeros());
+    let speeds = |contour: &mut Contour| -> Vec<f64> {
+        commanded(contour, &image).unwrap().iter().map(|state| state.linear.norm()).collect()
+    };
+    let mut there = contour(&arm, &path, LIMITS);
+    let slow_there = speeds(&mut there);
+    let mut whole = contour(&arm, &path, LIMITS).at_constant_speed();
+    let slow = speeds(&mut whole);
+    println!("{} and {} macrosteps, {:?}", slow_there.len(), slow.len(), there.slowed());
+    let fastest = |speeds: &[f64]| speeds.iter().copied().fold(0.0, f64::max);
+    assert!((fastest(&slow_there) / 0.1 - 1.0).abs() < 1e-9, "{}", fastest(&slow_there));
+    assert!(slow.len() > slow_there.len() && fastest(&slow) < 0.1, "{}", fastest(&slow));
+    let part = there.slowed().unwrap();
+    assert!(part.from < 0.1 && part.to < 0.9 && part.times > 1.0, "{part:?}");
+    assert!(contour(&arm, &letter(&standing(&arm).1), LIMITS).slowed().is_none());
 }

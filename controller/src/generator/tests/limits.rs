@@ -6,7 +6,7 @@ use std::sync::Arc;
 use nalgebra::{UnitQuaternion, Vector3};
 
 use super::*;
-use crate::path::{JointPath, SplineEnds};
+use crate::path::{BSpline, Curve, JointPath, Path, SplineEnds};
 use crate::robot::{
     Arm, Irb6, Irb6Parameters, Irp6, Irp6Parameters, Irp6Track, Irp6TrackParameters, Polycrank, PolycrankParameters,
     Rnt, RntParameters, Robot,
@@ -90,6 +90,20 @@ impl Limits {
                     *limits = limits.map(|limit| limit * factor);
                 }
             }
+        }
+    }
+
+    /// The limits of a contour. The angular jerk stands for the normal acceleration.
+    fn feed(&self) -> FeedLimits {
+        let [max_velocity, max_acceleration, max_jerk, max_angular_velocity, max_angular_acceleration, k] = self.tool;
+        let max_normal_acceleration = k / 60.0;
+        FeedLimits {
+            max_velocity,
+            max_acceleration,
+            max_jerk,
+            max_normal_acceleration,
+            max_angular_velocity,
+            max_angular_acceleration,
         }
     }
 
@@ -204,6 +218,69 @@ fn no_motion_through_poses_takes_longer_or_is_refused_when_a_limit_rises() {
             periods(JerkLimited::new(Space::Joint, arm.axes(), limits.joints, &poses)?, &image)
         });
     }
+}
+
+/// A random path of the tool from a pose: a line, an arc, a polyline with blends or a spline, which turns unless the
+/// arm has five axes.
+fn random_path(arm: &Arm, from: &Pose, random: &mut Random) -> Option<Path> {
+    let mut points = vec![from.translation.vector];
+    for _ in 0..3 + random.below(3) {
+        let by = Vector3::from_fn(|_, _| random.within(-0.12, 0.12));
+        points.push(points[points.len() - 1] + by);
+    }
+    let curve = match random.below(4) {
+        0 => Curve::line(points[0], points[1]),
+        1 => Curve::arc(points[0], points[1], points[2]),
+        2 => Curve::polyline(&points, random.within(0.002, 0.02)),
+        _ => Curve::spline(BSpline::through(&points, SplineEnds::NotAKnot).ok()?),
+    };
+    if arm.axes() == 5 || random.below(2) == 0 {
+        return Path::keeping(curve.ok()?, from.rotation).ok();
+    }
+    let turn = UnitQuaternion::from_scaled_axis(Vector3::from_fn(|_, _| random.within(-0.3, 0.3)));
+    Path::turning(curve.ok()?, from.rotation, turn * from.rotation).ok()
+}
+
+#[test]
+fn no_contour_of_any_robot_takes_longer_or_is_refused_when_a_limit_rises() {
+    let mut contours = 0;
+    for (name, arm, seed) in cases().filter(|(_, _, seed)| *seed < 5 * times()) {
+        let mut random = Random(seed);
+        let Some((_, image)) = standing(&arm, &mut random) else { continue };
+        let Some(path) = random_path(&arm, &image.commanded.pose, &mut random) else { continue };
+        contours += u32::from(check(&format!("contour of {name}"), seed, |limits| {
+            let mut contour = Contour::along(arm.clone(), path.clone(), limits.feed(), limits.joints)?;
+            contour.first_step(&image, PERIOD)?;
+            Ok((contour.feed().unwrap().duration() / PERIOD.as_secs_f64()).round() as u32)
+        }));
+    }
+    println!("{contours} contours");
+    assert!(contours >= 10, "{contours} contours");
+}
+
+#[test]
+fn contours_that_joints_limit_keep_the_limits_of_the_joints_at_their_set_points() {
+    let (mut contours, mut slowed) = (0, 0);
+    for (name, arm, seed) in cases().filter(|(_, _, seed)| *seed < 6 * times()) {
+        let mut random = Random(seed);
+        let Some((_, image)) = standing(&arm, &mut random) else { continue };
+        let Some(path) = random_path(&arm, &image.commanded.pose, &mut random) else { continue };
+        let limits = if seed % 2 == 0 { HIGH } else { Limits { tool: [0.5, 5.0, 100.0, 2.0, 20.0, 400.0], ..HIGH } };
+        let mut contour = Contour::along(arm.clone(), path, limits.feed(), limits.joints).unwrap();
+        let Ok(Next { mut memory, .. }) = contour.first_step(&image, PERIOD) else { continue };
+        let mut joints = vec![image.commanded.joints.position];
+        while !contour.terminal(&memory, &()) {
+            memory = contour.next_step(&memory, &()).unwrap().memory;
+            let pose = contour.state(memory).unwrap().pose;
+            joints.push(arm.inverse(&pose, &joints[joints.len() - 1]).unwrap());
+        }
+        let [speed, push, ..] = parts_of_limits(&arm, &joints, &limits);
+        contours += 1;
+        slowed += u32::from(contour.slowed().is_some());
+        assert!(speed <= 1.01 && push <= 1.01, "{name}, seed {seed}: {speed} {push}");
+    }
+    println!("{contours} contours, {slowed} slowed");
+    assert!(contours >= 12 && slowed >= 8, "{contours} contours, {slowed} slowed");
 }
 
 /// Limits of the tool that no arm reaches, but for the jerk of the joints.

@@ -31,7 +31,7 @@ use crate::report::counted;
 /// Greatest number of robots of a cell, and of buses and bundles together.
 const MOST: usize = 32;
 
-/// Greatest numbers of robots, buses, ultrasonic matrices, force sensors, cameras and conveyors of a cell.
+/// Greatest numbers of robots, buses, ultrasonic matrices, force sensors, cameras, conveyors and devices of other crates.
 #[cfg(test)]
 pub(crate) const fn most_devices() -> [usize; 7] {
     [MOST, MOST, ultrasonic::MOST, force::MOST, camera::MOST, conveyor::MOST, device::MOST]
