@@ -113,6 +113,9 @@ fn a_cell_is_not_replaced_and_a_bad_description_is_refused_with_its_line() {
     let cell = new_cell(&folder, "scara", &described(SCARA, false));
     let urdf = cell.replace(".toml", ".urdf");
     refused(&mrroc(["new", &cell, "--urdf", &urdf]), &["scara.toml", "File exists"]);
+    refused(&mrroc(["new"]), &["CELL and --urdf FILE are needed", "standard input is no terminal"]);
+    refused(&mrroc(["new", &cell]), &["standard input is no terminal"]);
+    refused(&mrroc(["new", &cell, "--urdf", "package://arms/a.urdf"]), &["add --package arms=DIR"]);
     std::fs::write(&urdf, described(SCARA, false).replacen("prismatic", "planar", 1)).unwrap();
     let other = folder.path("other.toml");
     refused(&mrroc(["new", other.to_str().unwrap(), "--urdf", &urdf]), &["scara.urdf:", "joint \"j3\" is planar"]);

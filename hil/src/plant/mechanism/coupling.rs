@@ -230,9 +230,9 @@ pub(super) trait Coupled {
         if coupling.inertia == Square::zeros() {
             coupling.inertia = Square::from_diagonal(&Column::from(rotors));
         }
-        for axis in 0..AXES {
-            if coupling.free[axis] && coupling.mobility[(axis, axis)] == 0.0 {
-                coupling.mobility[(axis, axis)] = 1.0 / rotors[axis];
+        for (axis, rotor) in rotors.iter().enumerate().filter(|(axis, _)| coupling.free[*axis]) {
+            if coupling.mobility[(axis, axis)] == 0.0 {
+                coupling.mobility[(axis, axis)] = 1.0 / rotor;
             }
         }
         (coupling.changes, coupling.weight, coupling.holds) = (Square::zeros(), Column::zeros(), true);
