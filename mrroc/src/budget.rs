@@ -14,8 +14,8 @@ use serial::ati;
 
 use crate::bench::{emulation, traffic::further};
 use crate::cell::{CellFile, Device, ForceSensor, Path, Protocol, Ultrasonic};
-use crate::report::counted;
 use crate::setup;
+use can::counted;
 
 /// Budget of one bus.
 #[derive(Debug, Serialize)]

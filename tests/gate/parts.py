@@ -42,6 +42,11 @@ def format_part():
     )
 
 
+def circles_part():
+    """Circles of modules, and files that name a kind of device."""
+    return Part("circles", "test", Command("tests/circles"), processors=0.6)
+
+
 # One selection of packages for all builds: another selection may give a crate other features, and build it again.
 WHOLE = ["--workspace", LOCKED]
 HOOKS = ["--features", "mrroc-tests/test-hooks"]
@@ -85,7 +90,7 @@ def system_part(messages, only):
 
 def quick(only):
     build = ["cargo", "test", *WHOLE, *HOOKS, *unit_targets(), "--test", "hooks"]
-    return [gate_part(), format_part(), *unit_parts(only, build)]
+    return [gate_part(), format_part(), circles_part(), *unit_parts(only, build)]
 
 
 def run(only):
@@ -106,6 +111,7 @@ def run(only):
         Part("debian", "download", Command(*root("packaging/test", "prepare")), needs=["packages"], left_out=package),
         gate_part(),
         format_part(),
+        circles_part(),
         Part("dependencies", "build", Command("tests/deny"), needs=["packages"]),
         release_part(messages),
         Part("peers", "build", Command("tests/install", "peers"), needs=["packages"], processors=ALL, left_out=peers),

@@ -18,7 +18,7 @@ from toppra.algorithm import TOPPRA
 from toppra.constraint import JointAccelerationConstraint, JointVelocityConstraint
 from toppra.parametrizer import ParametrizeConstAccel
 
-# Rounds of a path, and of a move, which is planned in microseconds.
+# Rounds of a path without its own number, and of a move, which is planned in microseconds.
 ROUNDS = 5
 MOVE_ROUNDS = 50
 BETWEEN = 20
@@ -57,7 +57,9 @@ def judged_path(path):
         instance = TOPPRA(constraints, geometry, gridpoints=s, solver_wrapper="seidel")
         return instance.compute_parameterization(0, 0)[1]
 
-    speeds, time_us = fastest(plan, ROUNDS)
+    speeds, time_us = fastest(plan, path.get("rounds", ROUNDS))
+    if speeds is None:
+        return {"duration": None}
     spline = CubicSpline(parameters, points, bc_type=path["ends"])
     x, steps = rate**2, numpy.diff(s)
     u = numpy.diff(x) / (2 * steps)

@@ -52,7 +52,7 @@ const NO_REMAINDER: Axes = [0.0; servo::MAX_AXES];
 /// is exact. Poses of the path at most 5 mm and 10 mrad apart are then checked for reach, joint limits, and jumps between
 /// branches of the inverse kinematics. Where an axis would exceed its velocity or acceleration limit, the feed is lower
 /// ([`at_constant_speed`](Self::at_constant_speed): on the whole path). No duration rises by more than a servo period
-/// if a limit rises.
+/// if a limit rises, except at kinks in the course of the joints of an arm with more axes than a pose determines.
 ///
 /// The macrosteps last [one servo period](Pace::PERIOD): the pose of each set-point is exact.
 ///

@@ -2,7 +2,7 @@
 
 use std::fmt::Display;
 
-use crate::report::counted;
+use can::counted;
 use can::{ControllerState, Counters};
 
 /// Possible reasons why no node on `interface` answers.

@@ -14,7 +14,7 @@ use master::sdo::CAPACITY;
 
 use super::{CellFile, Path, printable};
 use crate::input;
-use crate::report::counted;
+use can::counted;
 
 /// Greatest number of values written to a drive, or compared, before operation. Each value takes two exchanges of some
 /// milliseconds.

@@ -21,7 +21,7 @@ use toml::map::Iter;
 use super::error::{CellError, Path, Step, line_at};
 use super::text::{excerpt, one_of, quoted};
 use super::{Cell, Range, out_of_range};
-use crate::report::counted;
+use can::counted;
 
 /// Greatest size of a cell file, bytes. The largest example has 26 kB.
 pub const LARGEST: usize = 1 << 20;

@@ -6,7 +6,7 @@
 use std::collections::BTreeMap;
 use std::hash::{DefaultHasher, Hash, Hasher};
 
-use crate::report::counted_as;
+use can::counted_as;
 use mcap::records::{Footer, Record, Statistics};
 
 /// Number and checksum of entries in any order.

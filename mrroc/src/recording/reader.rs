@@ -22,7 +22,7 @@ use super::file::{
 use super::input::Input;
 use crate::bench::BenchKind;
 use crate::input;
-use crate::report::counted;
+use can::counted;
 
 /// Greatest length of a record, bytes. A damaged length must not request more memory.
 const LONGEST: usize = 16 << 20;

@@ -15,7 +15,7 @@ use super::difference::Difference;
 use super::reader::{Damage, Reader};
 use super::replaying::Replaying;
 use crate::cell::CellFile;
-use crate::report::counted;
+use can::counted;
 
 /// What a recording is replayed with.
 #[derive(Clone, Debug, Default)]

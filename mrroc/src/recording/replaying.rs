@@ -25,7 +25,7 @@ use super::replay::{Place, Replay};
 use super::samples::DeviceSample;
 use super::sources::{Layout, words};
 use crate::cell::CellFile;
-use crate::report::counted_as;
+use can::counted_as;
 use crate::{run, setup};
 
 /// Frames and telegrams of one cycle at a port or line, at most.

@@ -31,6 +31,8 @@ mod io_driver;
 
 mod latency;
 
+mod lines;
+
 mod linux;
 
 mod master;

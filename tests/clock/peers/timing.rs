@@ -75,7 +75,7 @@ fn lasting(start: AxesState, acceleration: Axes, target: Axes, limits: MotionLim
 }
 
 /// Answer of the script.
-fn judged(python: &std::path::Path, asked: &Value) -> Value {
+pub(super) fn judged(python: &std::path::Path, asked: &Value) -> Value {
     let mut judge = Command::new("timeout")
         .args(["--signal=KILL", PATIENCE])
         .arg(python)

@@ -2,7 +2,7 @@
 
 use super::{Checked, refused, within};
 use crate::cell::{Cell, ForceLaw, Path, Range, Robot, quoted};
-use crate::report::counted;
+use can::counted;
 
 pub(super) fn check(cell: &Cell) -> Checked {
     for (index, robot) in cell.robot.iter().enumerate() {

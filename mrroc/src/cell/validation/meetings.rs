@@ -2,7 +2,7 @@
 
 use super::Checked;
 use crate::cell::{Cell, Meeting, Path, instruction_path};
-use crate::report::counted;
+use can::counted;
 
 /// Greatest number of meetings of a cell, each counted once.
 const MOST: usize = 256;

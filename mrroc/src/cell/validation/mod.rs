@@ -26,7 +26,7 @@ use servo::KeyError;
 use super::error::{Path, Step};
 use super::{Cell, Range, out_of_range, text};
 use crate::guardian::LONGEST_SILENCE_MS;
-use crate::report::counted;
+use can::counted;
 
 /// Greatest number of robots of a cell, and of buses and bundles together.
 const MOST: usize = 32;
