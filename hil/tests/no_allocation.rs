@@ -83,7 +83,7 @@ fn linkages_advance_without_allocations() {
 }
 
 fn advances_without_allocations(mechanism: &Mechanism, periods: u32) {
-    let config = AxisConfig { start_angle: 0.0, ..AxisConfig::polycrank(0).unwrap() };
+    let config = AxisConfig { start_angle: 0.0, ..AxisConfig::polycrank(0).expect("it has the axis") };
     let mut axes: Vec<PlantAxis> = (0..8)
         .map(|number| PlantAxis::mounted(&config, number as u64, mechanism.mount(number, 0.0).as_ref()))
         .collect();

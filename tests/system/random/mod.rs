@@ -15,6 +15,8 @@ use verdict::{Disagreement, Verdict, judge_but};
 
 mod cells;
 
+mod chains;
+
 mod exceptions;
 
 mod grids;
