@@ -248,7 +248,7 @@ fn a_line_out_of_reach_or_past_a_singular_pose_is_refused_with_the_axis_or_the_m
         for run in [crate::cli_refusals::run_in_lockstep(&cell, &log), mrroc(["check".as_ref(), cell.as_os_str()])] {
             refused(&run, &[&last, needle]);
             if needle.ends_with(" jumps by ") {
-                refused(&run, &["a singular posture", "nine digits", "or move the joints"]);
+                refused(&run, &["a singular posture", "twelve digits", "or move the joints"]);
             }
             assert!(!log.exists(), "{name}: a bus was opened");
         }

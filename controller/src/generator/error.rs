@@ -174,8 +174,8 @@ impl GeneratorError {
 /// What to do about a jump.
 fn remedy(singular: bool) -> &'static str {
     if singular {
-        "a posture beside a singular posture, which does not determine the axis: give positions and orientations with nine \
-         digits, begin the path beside the singular posture, or move the joints"
+        "a posture beside a singular posture, which does not determine the axis: give positions and orientations with \
+         twelve digits, begin the path beside the singular posture, or move the joints"
     } else {
         "begin the path in another posture, or move the joints"
     }
