@@ -25,8 +25,8 @@ use super::replay::{Place, Replay};
 use super::samples::DeviceSample;
 use super::sources::{Layout, words};
 use crate::cell::CellFile;
-use can::counted_as;
 use crate::{run, setup};
+use can::counted_as;
 
 /// Frames and telegrams of one cycle at a port or line, at most.
 const TRACE: usize = 1 << 12;
