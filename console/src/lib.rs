@@ -15,7 +15,7 @@
 //! This program has every command, and `run CELL --task wave` and `check CELL --task wave` beside the built-in tasks.
 //!
 //! Exit status: 0 done; 1 stopped by a fault or on request, a file of a run is incomplete, a node did not obey a command,
-//! or the answer found no reader; 2 refused before any motion, or no answer.
+//! or the reader closed standard output before the end of the answer; 2 refused before any motion, or no answer.
 
 #![deny(clippy::print_stdout, clippy::print_stderr)]
 
@@ -204,7 +204,7 @@ pub fn main(extension: &Extension) -> ExitCode {
         Err(error) => return usage::answer(&error),
     };
     let blocked = signals::block_signals_of_writes();
-    // A run itself says how it ended if its report is lost, and an emulation has no answer.
+    // A run handles the loss of its report itself, and an emulation has no answer.
     let answers = !matches!(arguments.command, Command::Run { .. } | Command::Emulate(_));
     let result = blocked.and_then(|()| answer(arguments.command, extension));
     let result = result.map(|status| if answers { streams::exit_status(status) } else { status });

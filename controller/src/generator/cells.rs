@@ -34,7 +34,7 @@ pub(super) struct Cells {
     pub(super) bounds: Vec<f64>,
     /// Limits that can bind beside the bounds.
     pub(super) couplings: Vec<Coupling>,
-    /// Greatest tangential acceleration anywhere, m/s².
+    /// Greatest tangential acceleration on the whole path, m/s².
     pub(super) acceleration: f64,
 }
 
@@ -56,7 +56,7 @@ impl Cells {
         Self { nodes, bounds, couplings, acceleration: limits.max_acceleration }.bounded()
     }
 
-    /// The same within the limits of joints as well. `None` if these limit nothing.
+    /// These cells with the limits of the joints added. `None` if the joints limit nothing.
     pub(super) fn within(&self, joints: &Demands) -> Option<Self> {
         let mut cells = self.clone();
         joints.couple(&mut cells);
@@ -67,7 +67,7 @@ impl Cells {
         (!same).then_some(cells)
     }
 
-    /// Bounds speed and acceleration by the couplings, and omits couplings that bind nowhere else.
+    /// Bounds speed and acceleration by the couplings, and removes couplings that then bind nowhere.
     fn bounded(mut self) -> Self {
         let slope = |cell: usize| self.couplings.iter().map(|coupling| coupling.slopes[cell]).fold(0.0, f64::max);
         let least = (0..self.bounds.len()).map(slope).fold(f64::INFINITY, f64::min);
@@ -84,7 +84,7 @@ impl Cells {
         self
     }
 
-    /// Whether nothing but the limits of a straight motion binds.
+    /// Whether the path has no couplings and the same bound everywhere, like a straight line.
     pub(super) fn are_uniform(&self) -> bool {
         self.couplings.is_empty() && self.bounds.iter().all(|bound| *bound == self.bounds[0])
     }
@@ -94,7 +94,7 @@ impl Cells {
         greatest(&self.bounds)
     }
 
-    /// The same with `together` cells in one, for a search.
+    /// Coarser cells for a search: each one replaces `together` cells.
     pub(super) fn coarse(&self, together: usize) -> Self {
         let last = self.bounds.len();
         let nodes = self.nodes[..last].iter().step_by(together).copied().chain([self.nodes[last]]).collect();

@@ -22,16 +22,17 @@ const TURN: f64 = 0.05;
 const STEPS: [f64; 2] = [1.0 / 512.0, 5e-5];
 /// Least number of such places in a part of constant curvature.
 const PLACES: f64 = 4.0;
-/// Motion of an axis between two places, rad or m, that is examined for a jump at the shortest distance of two places.
+/// Greatest motion of an axis between two places at the shortest distance, rad or m, that needs no examination for a
+/// jump.
 const SUDDEN: f64 = 1e-6;
-/// A motion of which this share lies in one half of the distance, in each of several halvings, is a jump.
+/// Greatest share of a motion in one half of the distance. A motion that exceeds this share in each halving is a jump.
 const IN_ONE_HALF: f64 = 0.9;
 const HALVINGS: u32 = 6;
 /// Largest distance of an axis, rad or m, from the joint positions at the start of the path.
 const BESIDE: f64 = 1e-3;
 /// Largest change of the slope of a joint from place to place, relative to the largest slope.
 const CHANGE: f64 = 1.0 / 12.0;
-/// Share of the joint limits for the motion. The rest is for the course between the places.
+/// Share of the joint limits that a plan uses. The rest is a margin for the course between the places.
 const SHARE: f64 = 0.99;
 /// Accepted excess of a joint over its limit at the set-points, relative.
 const EXCESS: f64 = 2e-3;
@@ -48,16 +49,17 @@ const NO_REMAINDER: Axes = [0.0; servo::MAX_AXES];
 /// The effector must stand at the start of the path, within 1 µm and 10 µrad. A [`StraightLine`](super::StraightLine)
 /// moves the tool there.
 ///
-/// The first step plans the profile. Its duration is a whole number of servo periods, and the feed (speed along the path)
-/// is exact. Poses of the path at most 5 mm and 10 mrad apart are then checked for reach, joint limits, and jumps between
-/// branches of the inverse kinematics. Where an axis would exceed its velocity or acceleration limit, the feed is lower
-/// ([`at_constant_speed`](Self::at_constant_speed): on the whole path). No duration rises by more than a servo period
-/// if a limit rises, except at kinks in the course of the joints of an arm with more axes than a pose determines.
+/// The first step plans the profile. Its duration is a whole number of servo periods, and the feed (speed along the
+/// path) is exact where nothing limits the feed. Poses of the path at most 5 mm and 10 mrad apart are then checked for
+/// reach, joint limits, and jumps between branches of the inverse kinematics. Where an axis would exceed its velocity
+/// or acceleration limit, the feed is lower ([`at_constant_speed`](Self::at_constant_speed): on the whole path). If a
+/// limit rises, no duration rises by more than a servo period. Exceptions are kinks in the course of the joints of an
+/// arm with more axes than a pose determines.
 ///
 /// The macrosteps last [one servo period](Pace::PERIOD): the pose of each set-point is exact.
 ///
-/// The first step allocates. It solves the inverse kinematics at about 500 places or more, and once at each set-point, at
-/// kinks in the course of the joints up to eight times. No next step allocates.
+/// The first step allocates. It solves the inverse kinematics at about 500 places or more, and once at each set-point.
+/// If the course of the joints has kinks, it does so up to eight times at each set-point. No next step allocates.
 #[doc(alias = "spline")]
 #[derive(Debug)]
 pub struct Contour {
@@ -65,7 +67,7 @@ pub struct Contour {
     path: Path,
     limits: FeedLimits,
     joint_limits: MotionLimits,
-    /// Whether a path that joints limit is slower as a whole.
+    /// Whether the slowest part that joints limit bounds the feed on the whole path.
     constant_speed: bool,
     plan: Option<Plan>,
     /// The part that joints slow.
@@ -88,8 +90,8 @@ impl Contour {
         Ok(Self { arm, path, limits, joint_limits, constant_speed: false, plan: None, slowed: None })
     }
 
-    /// The same motion with the same bound of the feed on the whole path, for example for engraving: a path that joints
-    /// limit is slower as a whole, not only where a joint is fast.
+    /// The same motion with one bound of the feed on the whole path, for example for engraving. A path that joints
+    /// limit is then slower as a whole, not only where a joint is fast.
     #[must_use]
     pub fn at_constant_speed(self) -> Self {
         Self { constant_speed: true, ..self }
@@ -173,7 +175,7 @@ impl Contour {
         Ok(())
     }
 
-    /// Refuses a jump between two places. Halvings of the distance halve a steady motion, and leave a jump as it is.
+    /// Refuses a jump between two places. Halving the distance halves a continuous motion, and leaves a jump unchanged.
     fn check_continuity(&self, mut places: [f64; 2], mut ends: [Axes; 2]) -> Result<(), GeneratorError> {
         let most = |[from, to]: &[Axes; 2]| {
             let by = (0..self.arm.axes()).map(|axis| (axis, (to[axis] - from[axis]).abs()));
@@ -202,8 +204,8 @@ impl Contour {
         self.arm.inverse(&self.path.at(distance).pose, near).map_err(|cause| GeneratorError::Path { s, cause })
     }
 
-    /// Follows all set-points, and bounds the speed where a joint exceeds a limit: at a kink in the course of the joints,
-    /// which the places of the survey do not resolve. Returns whether there was one.
+    /// Follows all set-points, and bounds the speed where a joint exceeds a limit. This happens at kinks in the course
+    /// of the joints, which the places of the survey do not resolve. Returns whether a kink was found.
     fn slow_kinks(&self, start: &Axes, plan: &Plan, demands: &mut Demands) -> Result<bool, GeneratorError> {
         let dt = plan.macrostep;
         let mut found = false;

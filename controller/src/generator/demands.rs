@@ -7,7 +7,7 @@ use super::progress::Place;
 
 /// Number of instants at which a feed is compared with the limits of the joints.
 const INSTANTS: u32 = 4_000;
-/// Excess over a limit that counts as none.
+/// Excess over a limit that is neglected, relative.
 const SAME: f64 = 1e-9;
 
 /// Derivatives of the joint positions over the arc length of a path, relative to the limits of the joints.
@@ -40,7 +40,7 @@ impl Demands {
         let mut speeds = vec![0.0_f64; count];
         let mut first = 0;
         for cell in 0..count {
-            // All places of the cell, and the next one beyond both ends.
+            // All places of the cell, and one more place beyond each end.
             while first + 1 < self.places.len() && self.places[first + 1].s <= cells.nodes[cell] {
                 first += 1;
             }

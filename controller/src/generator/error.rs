@@ -153,7 +153,8 @@ pub enum GeneratorError {
 /// A jump that differs from whole turns by at most this angle counts as a turn back, rad.
 const TURN: f64 = 0.5;
 
-/// Margin of a posture from a singular one, below which a jump is due to this. A path passes its poses in steps.
+/// Distance of a posture from a singular posture, as `margin`, below which a jump is attributed to the singular
+/// posture. The distance is not zero, because the poses of a path are steps apart.
 const BESIDE: f64 = 0.03;
 
 impl GeneratorError {

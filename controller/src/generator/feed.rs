@@ -119,8 +119,8 @@ impl Feed {
         Self::plan(path, limits, Some(step.as_secs_f64()))
     }
 
-    /// The profile within the limits of the joints as well. If these limit the motion somewhere, also the profile within
-    /// the limits of the tool alone.
+    /// The profile within the limits of tool and joints. If the joints limit the motion somewhere, the second profile
+    /// is the one within the limits of the tool alone.
     pub(super) fn within(
         path: &Path,
         limits: &FeedLimits,

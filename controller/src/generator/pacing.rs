@@ -1,6 +1,6 @@
 //! The fastest feed profile: choice of the window of the moving average.
 //!
-//! The speed before the moving average is the greatest one within bounds that rise with each limit. A profile with a
+//! The speed before the moving average is the greatest speed within bounds that rise with each limit. A profile with a
 //! given window therefore does not become slower if a limit rises, and the shortest duration of all windows does not
 //! rise either.
 
@@ -11,15 +11,15 @@ use super::peaks::flatten_peaks;
 use super::sweep::{Grid, widened};
 use crate::path::Path;
 
-/// Least window that is tried, relative to the window that is the best without sections of low speed.
+/// Least window that is tried, relative to the best window of a path without sections of low speed.
 const LEAST: f64 = 1.0 / 32.0;
-/// Number of windows of the scan, of the best ones among them, and of refinements of each of these.
+/// Number of windows of the scan, number of the best windows that are refined, and refinements of each best window.
 const SCANNED: usize = 8;
 const BASINS: usize = 2;
 const REFINEMENTS: u32 = 7;
-/// Number of cells that are one cell in a search.
+/// Number of cells that a search merges into one cell.
 const TOGETHER: usize = 8;
-/// Relative difference of durations that counts as none.
+/// Relative difference of durations that is neglected.
 const SAME: f64 = 1e-6;
 
 /// Squares of the speed at places of a path, before the moving average.
@@ -58,7 +58,7 @@ impl Pacing {
         Self { cells: Cells::of(path, limits), jerk: limits.max_jerk, step: step.unwrap_or(0.0) }
     }
 
-    /// The profiles within the limits of joints as well. `None` if these limit nothing.
+    /// The profiles within the limits of the joints as well. `None` if the joints limit nothing.
     pub(super) fn within(&self, joints: &Demands) -> Option<Self> {
         Some(Self { cells: self.cells.within(joints)?, ..*self })
     }

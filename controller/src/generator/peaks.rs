@@ -43,7 +43,7 @@ struct Peak {
 }
 
 impl Peak {
-    /// The nodes around a node with the same square.
+    /// A node and its neighbours with the same square of the speed.
     fn around(node: usize, squares: &[f64]) -> Self {
         let mut peak = Self { low: node, high: node };
         peak.widen(squares, squares[node]);

@@ -41,7 +41,7 @@ impl Place {
         place
     }
 
-    /// Bounds the speed at this place, 1/s, because of a joint.
+    /// Bounds the rate of the path parameter at this place, 1/s (m/s for an arc length), because of a joint.
     pub(super) fn bound(&mut self, speed: f64, joint: u8) {
         if self.speed * speed < 1.0 {
             (self.speed, self.fastest) = (1.0 / speed, joint);

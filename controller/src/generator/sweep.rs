@@ -30,7 +30,7 @@ impl Grid {
     /// nodes are among these places.
     pub(super) fn fastest(&self, acceleration: f64, couplings: &[Coupling]) -> (Vec<f64>, Vec<f64>) {
         let reach = |square: f64, length: f64, cell: usize| {
-            // The acceleration holds for the greater speed of both ends. A smaller speed permits a greater one.
+            // The acceleration is the one permitted at the faster end. A lower speed permits a greater acceleration.
             couplings.iter().fold(square + 2.0 * acceleration * length, |reached, coupling| {
                 let (slope, bend) = (coupling.slopes[cell], coupling.bends[cell]);
                 reached.min((slope * square + 2.0 * length) / (slope + 2.0 * length * bend))
@@ -87,7 +87,7 @@ impl Grid {
         let mut cuts = Vec::new();
         for (cell, &bound) in self.bounds.iter().enumerate() {
             let (low, high) = (self.nodes[cell] - bound * window, self.nodes[cell + 1] + bound * window);
-            // A neighbour that is not faster, and reaches at least as far, does the rest.
+            // No cut is needed where a neighbour with an equal or lower bound reaches at least as far.
             let covers = |next: usize| self.bounds[next] <= bound;
             let ahead =
                 cell + 1 < count && covers(cell + 1) && self.nodes[cell + 2] + self.bounds[cell + 1] * window >= high;
@@ -135,9 +135,9 @@ impl Grid {
     }
 }
 
-/// The bounds of cells, and those of the cells before that reach into them.
+/// The least bound in each cell: its own, or that of an earlier cell that reaches into the cell.
 fn swept(nodes: &[f64], bounds: &[f64], window: f64, least: f64) -> Vec<f64> {
-    // Bounds, and where they end, both ascending.
+    // Bounds and the ends of their reach, both ascending.
     let mut reaching: VecDeque<(f64, f64)> = VecDeque::new();
     let mut swept = Vec::with_capacity(bounds.len());
     for (cell, &bound) in bounds.iter().enumerate() {
@@ -174,7 +174,7 @@ pub(super) fn widened(couplings: &[Coupling], times: &[f64], window: f64) -> Vec
         spans.push((first, behind));
     }
     let most = |values: &[f64]| {
-        // Cells whose values descend.
+        // Candidates for the greatest value: cells in the order of descending values.
         let mut candidates: VecDeque<usize> = VecDeque::new();
         let mut taken = 0;
         let mut most = Vec::with_capacity(count);

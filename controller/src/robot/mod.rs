@@ -162,8 +162,8 @@ pub trait Robot: fmt::Debug + Send + Sync {
     /// checked, so that measured positions can be converted.
     fn joints_from_motors(&self, motors: &Motors) -> Result<Joints, KinematicsError>;
 
-    /// The Jacobian at these joints. By default from differences of [`Robot::forward`], with an error of about 1e-9 for links
-    /// of 1 m. The neighbouring poses must then exist as well.
+    /// The Jacobian at these joints. By default, it is computed from differences of [`Robot::forward`], with an error
+    /// of about 1e-9 for links of 1 m. The neighbouring poses must then exist as well.
     fn jacobian(&self, joints: &Joints) -> Result<Jacobian, KinematicsError> {
         let mut jacobian = Jacobian::zeros();
         for axis in 0..self.axes() {

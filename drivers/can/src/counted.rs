@@ -2,8 +2,8 @@
 
 use std::fmt::Display;
 
-/// A number with its noun in the singular or in the plural: `1 axis`, `2 axes`, `0 entries`. The plural is that of the
-/// last word.
+/// A number with its noun in the singular or in the plural: `1 axis`, `2 axes`, `0 entries`. Only the
+/// last word of the noun changes in the plural.
 pub fn counted<N: Copy + Display + From<u8> + PartialEq>(number: N, noun: &str) -> String {
     let plural = |(one, many)| noun.strip_suffix(one).map(|stem| format!("{stem}{many}"));
     let odd = [("axis", "axes"), ("matrix", "matrices"), ("entry", "entries")];

@@ -381,7 +381,7 @@ proptest! {
         }
     }
 
-    /// `mrroc dcf strip` makes a file that is accepted of every file that can be read, also without a vendor.
+    /// `mrroc dcf strip` converts every readable file, also one without a vendor, to a file that is accepted.
     #[test]
     fn whatever_a_configuration_becomes_its_stripped_file_is_accepted(
         file in 0..CONFIGURATIONS.len(),

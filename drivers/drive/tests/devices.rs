@@ -74,7 +74,7 @@ fn no_cycle_of_a_device_of_another_crate_allocates() {
         tolerated_missing: 3,
         boot_timeout: Duration::from_secs(1),
     };
-    // Nothing takes the samples, so that their ring is full soon.
+    // No reader takes the samples, so their ring is soon full.
     let (mut device, link, samples) = DeviceOnLine::new(wire.clone(), Bytes, config).unwrap();
     let mut now = Instant::ZERO;
     while device.bring_up(now).map(Result::unwrap).is_pending() {

@@ -1,5 +1,6 @@
-//! A program with every command of `mrroc` for a five-bar robot: two motors on the x axis turn a link each. Two further
-//! links join their ends at the flange, which moves in the plane and keeps its orientation. All numbers are nominal.
+//! A program with every command of `mrroc` for a five-bar robot. Two motors on the x axis turn one link each. Two
+//! further links join these links at the flange. The flange moves in the plane without rotation. All numbers are
+//! nominal.
 
 use std::{f64::consts::PI, process::ExitCode, sync::Arc};
 
@@ -62,7 +63,7 @@ impl OwnRobot for FiveBar {
         [self.proximal, self.proximal, self.distal, self.distal].map(|it| EmulatedLink::rod(2.0 * it, it)).into()
     }
 
-    /// By the angles of the triangle of elbows and flange. The emulator does not use the kinematics of the controller.
+    /// Poses from the triangle of elbows and flange. The emulator does not use the kinematics of the controller.
     fn place_links(&self, motors: &[f64], poses: &mut [Pose]) -> bool {
         let turn = |angle: f64| Pose::rotation([0.0, 0.0, angle].into());
         for (side, stand) in [(0, -0.5), (1, 0.5)] {

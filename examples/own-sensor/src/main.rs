@@ -1,5 +1,5 @@
 //! A program with every command of `mrroc` for a range finder of its own: a time-of-flight sensor at the flange of an
-//! IRb-6, on a serial line. The task measures the height of the flange in two poses. The protocol is an invention.
+//! IRb-6, on a serial line. The task measures the height of the flange in two poses. The protocol is invented.
 //!
 //! | telegram | bytes |
 //! |---|---|
@@ -17,7 +17,7 @@ use mrroc::prelude::*;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// Distance on the wire that stands for no target, mm.
+/// Distance in an answer without a target, mm.
 const NO_TARGET: u16 = u16::MAX;
 
 /// Keys of a range finder in the cell file.

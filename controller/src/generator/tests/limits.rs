@@ -93,7 +93,7 @@ impl Limits {
         }
     }
 
-    /// The limits of a contour. The angular jerk stands for the normal acceleration.
+    /// The limits of a contour. The limit of the angular jerk determines that of the normal acceleration.
     fn feed(&self) -> FeedLimits {
         let [max_velocity, max_acceleration, max_jerk, max_angular_velocity, max_angular_acceleration, k] = self.tool;
         let max_normal_acceleration = k / 60.0;
@@ -220,7 +220,7 @@ fn no_motion_through_poses_takes_longer_or_is_refused_when_a_limit_rises() {
     }
 }
 
-/// A random path of the tool from a pose: a line, an arc, a polyline with blends or a spline, which turns unless the
+/// A random path of the tool from a pose: a line, an arc, a polyline with blends or a spline. The tool turns unless the
 /// arm has five axes.
 fn random_path(arm: &Arm, from: &Pose, random: &mut Random) -> Option<Path> {
     let mut points = vec![from.translation.vector];

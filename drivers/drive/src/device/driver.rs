@@ -11,7 +11,7 @@ pub const MOST_QUERY: usize = 64;
 /// Encodes the queries to one device on a serial line, and decodes its answers. Every function runs in the servo cycle:
 /// it does not allocate, lock, format or wait, and its time is bounded.
 ///
-/// Time-outs, lost answers, ranges of values and faults are not its concern: see [`DeviceOnLine`](super::DeviceOnLine).
+/// [`DeviceOnLine`](super::DeviceOnLine) handles time-outs, lost answers, ranges of values and faults.
 ///
 /// Methods with a default may be added to this trait; every other change is announced in the change log.
 pub trait LineDriver: Send + 'static {
@@ -27,16 +27,16 @@ pub trait LineDriver: Send + 'static {
     fn restart(&mut self);
 }
 
-/// What a byte from a device leads to.
+/// Result of a byte from a device.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Reception {
-    /// An answer is under way.
+    /// The byte belongs to an answer that has not ended.
     Pending,
     /// The byte, or an answer that ends with it, is not valid.
     Skipped,
     /// The byte ends a valid answer.
     Sample,
-    /// The byte ends an answer by which the device refuses the query, with this code.
+    /// The byte ends an answer that refuses the query with this code.
     Refused(u8),
 }
 
@@ -75,20 +75,20 @@ impl LineConfig {
         Self { settings, query: 0, answer, interval, answer_delay: Duration::ZERO, is_numbered: false }
     }
 
-    /// The same with this time from one query to the next, rounded up to a servo period.
+    /// This configuration with another time from one query to the next, rounded up to a servo period.
     #[must_use]
     pub const fn every(self, interval: Duration) -> Self {
         Self { interval, ..self }
     }
 
-    /// The same with this greatest time from a query to its answer.
+    /// This configuration with another greatest time from the end of a query to the first byte of its answer.
     #[must_use]
     pub const fn answering_within(self, answer_delay: Duration) -> Self {
         Self { answer_delay, ..self }
     }
 
-    /// The same for a device whose answers carry the number of their query. The driver skips an answer with another
-    /// number.
+    /// This configuration for a device whose answers carry the number of their query. The driver skips an answer with
+    /// another number.
     #[must_use]
     pub const fn numbered(self) -> Self {
         Self { is_numbered: true, ..self }

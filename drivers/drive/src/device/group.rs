@@ -120,7 +120,7 @@ pub struct DeviceOnLine<L: Line, D: LineDriver> {
     asked: Instant,
     /// Whether an answer has begun and not ended.
     is_within: bool,
-    /// Missing samples in a row, and readings among them that were no valid answer.
+    /// Missing samples in a row, and readings without a valid answer since the last sample.
     missing: u32,
     garbage: u32,
     /// A reset was requested. The latched fault remains until the next valid sample.
@@ -139,18 +139,18 @@ pub struct DeviceOnLine<L: Line, D: LineDriver> {
 enum Exchange {
     /// No answer is due, and the next query may be sent from this time on.
     Idle { from: Instant },
-    /// A sample is due: the query was sent at `at`, or the last sample of a device that sends by itself ended then.
+    /// A sample is due. `at`: end of the query, or end of the last sample of a device that sends by itself.
     Due { at: Instant },
-    /// The last query has ended without its answer at `since`. The next query waits until the line was quiet long
-    /// enough since the time `quiet`.
+    /// The last query ended without an answer at `since`. The line has been quiet from `quiet` on. The next query waits
+    /// until this time is long enough.
     Draining { since: Instant, quiet: Instant },
 }
 
-/// A device with its ends: driver, reader, and all samples.
+/// A drive group, its link to the controller, and its samples for the files of a run.
 pub type OpenedDevice<G> = (G, DeviceLink, DeviceSamples);
 
 impl<L: Line, D: LineDriver> DeviceOnLine<L, D> {
-    /// A device that has received nothing yet, and the other ends of it.
+    /// A device that has received nothing yet, with its link and its samples.
     pub fn new(line: L, driver: D, config: DeviceConfig) -> Result<OpenedDevice<Self>, DeviceConfigError> {
         config.check()?;
         let count = count_of(config.values);
@@ -192,7 +192,7 @@ impl<L: Line, D: LineDriver> DeviceOnLine<L, D> {
         }
     }
 
-    /// Waits for the next sample of a device that sends by itself, or else until the line is quiet.
+    /// Begins to wait: for the next sample of a device that sends by itself, and otherwise for a quiet line.
     fn listen(&mut self, now: Instant) {
         let streamed = self.config.line.is_streamed();
         let draining = Exchange::Draining { since: now, quiet: now };
@@ -261,7 +261,7 @@ impl<L: Line, D: LineDriver> DeviceOnLine<L, D> {
         }
         let LineConfig { settings, answer, interval, .. } = self.config.line;
         let streamed = self.config.line.is_streamed();
-        // Bytes may have waited for the cycle up to one period.
+        // Bytes may have waited up to one period for the cycle.
         let not_before = if streamed { now - self.config.period - settings.line_time(answer) } else { at };
         self.exchange =
             if streamed { Exchange::Due { at: now } } else { Exchange::Idle { from: self.asked + interval } };
@@ -283,8 +283,8 @@ impl<L: Line, D: LineDriver> DeviceOnLine<L, D> {
         self.missing = self.missing.saturating_add(1);
     }
 
-    /// Ends a query without an answer in its time. A line that does not become quiet delays the next query, which then
-    /// counts as missing too.
+    /// Ends a query that has no answer within its time. A line that does not become quiet delays the next query, whose
+    /// sample then counts as missing too.
     fn judge(&mut self, now: Instant) {
         let (line, period) = (self.config.line, self.config.period);
         let (since, longest) = match self.exchange {
@@ -334,7 +334,7 @@ impl<L: Line, D: LineDriver> DeviceOnLine<L, D> {
             return Ok(());
         }
         self.asked = now;
-        // A query that the line did not take whole ends like a query without an answer.
+        // A query of which the line took only a part is treated like a query without an answer.
         self.exchange = Exchange::Due { at: now + self.config.line.settings.line_time(length) };
         let written = self.line.write(now, query.get(..length).unwrap_or_default());
         let port = &mut self.counters.port;

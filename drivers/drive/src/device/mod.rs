@@ -1,16 +1,16 @@
 //! Devices whose kind another crate adds, for example a sensor with a protocol of its own.
 //!
 //! A kind declares its values ([`DeviceValue`]) and its line ([`LineConfig`]), and encodes and decodes its telegrams
-//! ([`LineDriver`]). [`DeviceOnLine`] is the drive group of every kind: bring-up, intervals, time-outs, lost and torn
-//! answers, ranges of values and faults are in it alone. The controller reads the device through its [`DeviceLink`].
-//! [`DeviceSamples`] carries each sample to the files of a run. Both ends know nothing of the line.
+//! ([`LineDriver`]). [`DeviceOnLine`] is the drive group of every kind, and handles bring-up, intervals, time-outs,
+//! lost and torn answers, ranges of values and faults. The controller reads the device through its [`DeviceLink`].
+//! [`DeviceSamples`] carries each sample to the files of a run. Link and samples do not depend on the line.
 //!
 //! # The cycle
 //! A cycle reads once, and writes a query if the last exchange has ended and the interval of the device has passed. A
 //! query without a valid answer within its time is lost. The next query then waits until the line was quiet for twice
-//! that time, so that a late answer is not taken for the answer to another query. A driver whose answers carry the
-//! number of their query compares the number, and the line needs one reading without bytes ([`LineConfig::numbered`]).
-//! A device without queries sends by itself: its samples have a time limit too.
+//! this time, so that a late answer is not taken for the answer to another query. If answers carry the number of their
+//! query, the driver compares the number, and the next query waits for one reading without bytes
+//! ([`LineConfig::numbered`]). A device without queries sends by itself: its samples have a time limit too.
 //!
 //! # Faults
 //! A fault is latched until [`DeviceLink::reset_fault`] or the next bring-up. During a fault the state keeps the last
@@ -23,7 +23,7 @@
 //! | [`Refused`](DeviceFault::Refused) | the device refused a query |
 //! | [`Line`](DeviceFault::Line) | the line failed |
 //!
-//! A fault of a device does not stop any axis: the task that reads the device must stop them.
+//! A fault of a device does not stop any axis: the task that reads the device must stop the axes.
 //!
 //! # Bring-up
 //! Bring-up ends with the first valid sample. A device that is absent, sends garbage or refuses the query ends bring-up

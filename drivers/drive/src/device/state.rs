@@ -12,7 +12,7 @@ use super::value::MOST_VALUES;
 use crate::latest::{Latest, Publisher, latest_of};
 use crate::{Request, Word};
 
-/// Samples that a file may lag behind the device.
+/// Capacity of the ring of samples between a device and the files of a run.
 const SAMPLES: usize = 512;
 
 /// A sample of a device.
@@ -22,8 +22,8 @@ pub struct DeviceSample {
     pub number: u64,
     /// Time of the cycle that read the end of the sample.
     pub read_at: Instant,
-    /// Earliest time of the measurement: the time of the query, or of a device that sends by itself the earliest time
-    /// of the first byte.
+    /// Earliest time of the measurement: end of the query, or for a device that sends by itself, earliest time of the
+    /// first byte.
     pub not_before: Instant,
     /// The numbers in the order of their declaration, then zeros. NaN: not measured.
     pub values: [f64; MOST_VALUES],

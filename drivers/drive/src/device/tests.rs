@@ -15,8 +15,8 @@ use crate::{BringUpError, DriveGroup};
 const PERIOD: Duration = Duration::from_millis(2);
 const VALUES: &[DeviceValue] = &[DeviceValue::new("distance", "m", [0.0, 2.0])];
 
-/// The driver: query `[0x51]`, answer `[0xA5, number, cm, sum]`. 0xFE as number of centimetres is a refusal, 0xFD no
-/// echo.
+/// The driver: query `[0x51]`, answer `[0xA5, number, cm, sum]`. 0xFE in place of centimetres is a refusal, and 0xFD
+/// means no echo.
 #[derive(Default)]
 struct Driver {
     bytes: [u8; 4],

@@ -25,7 +25,7 @@ impl DeviceValue {
         Self { name, unit, count: 1, range }
     }
 
-    /// The same with `count` numbers.
+    /// This value with `count` numbers.
     #[must_use]
     pub const fn times(self, count: usize) -> Self {
         Self { count, ..self }
