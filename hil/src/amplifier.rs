@@ -267,7 +267,7 @@ impl Amplifier {
     /// One step of the current loop: the voltage for a measured current.
     ///
     /// A motor may turn when its drive is switched on, for example under a load that falls. The loop then starts from the
-    /// back-EMF at the observed velocity. Without this start, the back-EMF alone would drive a current that trips the drive.
+    /// back-EMF at the observed velocity. Otherwise the back-EMF would drive a current that trips the drive.
     pub(crate) fn voltage(&mut self, measured: f64) -> f64 {
         let was_on = std::mem::replace(&mut self.on, true);
         if let Some(voltage) = self.fixed {

@@ -1,4 +1,4 @@
-//! Emulated devices whose kind another crate adds, and what they can see of the world.
+//! Emulated devices whose kind another crate adds, and their view of the world.
 
 use std::time::Duration;
 
@@ -30,7 +30,7 @@ pub trait LineEmulator: Send + 'static {
     fn advance(&mut self, _now: Instant, _surroundings: &mut Surroundings, _answer: &mut Answer<'_>) {}
 }
 
-/// What an emulated device sees of the world. The view is read only.
+/// The view that an emulated device has of the world. The view is read-only.
 ///
 /// Methods may be added to this type; every other change is announced in the change log.
 #[derive(Debug)]
@@ -54,8 +54,9 @@ impl Surroundings {
         self.flange.as_ref().map_or(self.place, |flange| flange.pose() * self.place)
     }
 
-    /// Distance from the origin of the device to the first surface in a direction of its frame, m. Walls and bodies of
-    /// the scene are seen, and tools and links of robots are not. `None` if there is no surface, or no direction.
+    /// Distance from the origin of the device to the first surface in a direction of its frame, m. The device sees
+    /// walls and bodies of the scene, and no tools and links of robots. `None` without a surface, and for a direction
+    /// of length zero.
     pub fn distance(&self, direction: [f64; 3]) -> Option<f64> {
         let pose = self.pose();
         let direction = Unit::try_new(pose.rotation * Vector3::from(direction), 1e-12)?;

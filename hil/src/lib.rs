@@ -6,7 +6,8 @@
 //! device. A [scene] contains the bodies and surfaces around the robots. Four devices are attached to a bus: the axis
 //! controller [`Epos4`], the input and output module [`DigitalIo`], the sensor [`CanForceSensor`], and the adapter
 //! [`SlcanDevice`]. The adapter connects a host without a CAN card to a bus. The sensors at a line are
-//! [`SerialForceSensor`], [`UltrasonicMatrix`], and those of other crates ([`LineEmulator`]). A [`Camera`] is on neither: it gives the bytes of a network connection. Read [`Device`] and [`World`] first.
+//! [`SerialForceSensor`], [`UltrasonicMatrix`], and devices of other crates ([`LineEmulator`]). A [`Camera`] has
+//! neither bus nor line: it gives the bytes of a network connection. Read [`Device`] and [`World`] first.
 
 mod amplifier;
 pub mod axis_controller;

@@ -57,7 +57,7 @@ fn chains_advance_without_allocations() {
     advances_without_allocations(&Mechanism::new(MechanismConfig::Chain(Arc::new(bodies))), 200);
 }
 
-/// Rods one behind the other, which turn about z and y by turns.
+/// A chain of rods. Their joints turn about z and y alternately.
 #[derive(Debug)]
 struct Rods;
 

@@ -1,8 +1,8 @@
 //! Devices of other crates: their keys in cell files, their drivers and their emulation.
 //!
 //! A program implements [`OwnDevice`] and registers the kind ([`register`], `Extension::device`). A cell of the program
-//! then has such devices as `[[device]]`, on a serial line each. Every command and every bench knows the kind. A task
-//! reads a device by its name: [`Cell::device`](crate::tasks::Cell::device).
+//! can then have such devices as `[[device]]`, each on a serial line. Every command and every bench knows the kind. A
+//! task reads a device by its name: [`Cell::device`](crate::tasks::Cell::device).
 //!
 //! Read [`drive::device`] for time-outs and faults, which are the same for all kinds.
 
@@ -42,7 +42,7 @@ pub trait OwnDevice: fmt::Debug + Serialize + DeserializeOwned + Keys + Send + S
     /// Name of the kind in cell files.
     const KIND: &'static str;
 
-    /// The values of a sample. Handle, recording, columns and report take them from here.
+    /// The values of a sample. Tasks, recordings, columns and reports use this declaration.
     const VALUES: &'static [DeviceValue];
 
     /// The host's end of the protocol.
@@ -60,12 +60,12 @@ pub trait OwnDevice: fmt::Debug + Serialize + DeserializeOwned + Keys + Send + S
     /// An emulated device, switched on at [`Instant::ZERO`].
     fn emulator(&self) -> Self::Emulator;
 
-    /// Refuses numbers that are no sound device, in words that follow the place in the cell file.
+    /// Refuses invalid numbers. The message follows the place in the cell file.
     fn check(&self) -> Result<(), String> {
         Ok(())
     }
 
-    /// Numbers of the sample that a rehearsal gives, which has no surroundings: the middle of each range.
+    /// Numbers of every sample in a rehearsal, which has no surroundings. By default, the middle of each range.
     fn rehearsed(&self) -> Vec<f64> {
         let middle = |value: &DeviceValue| std::iter::repeat_n(0.5 * (value.range[0] + value.range[1]), value.count);
         Self::VALUES.iter().flat_map(middle).collect()

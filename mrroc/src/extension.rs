@@ -49,7 +49,7 @@ impl Extension {
     ///
     /// # Panics
     ///
-    /// If another kind has the name, or if the kind has a key that every device has.
+    /// If another kind has the name, or, with the feature `schema`, if the kind has a key that every device has.
     #[must_use]
     pub fn device<T: OwnDevice>(self) -> Self {
         devices::register::<T>();

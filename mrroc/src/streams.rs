@@ -13,10 +13,10 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use anyhow::Context;
 use serde::Serialize;
 
-/// What is said of an answer whose reader has closed standard output.
+/// Reason of a lost answer: the reader has closed standard output.
 pub(crate) const CLOSED: &str = "standard output is closed";
 
-/// Whether the reader of standard output closed it before the last byte. Standard output is one per process.
+/// Whether the reader closed standard output before the last byte. A process has one standard output.
 static LOST: AtomicBool = AtomicBool::new(false);
 
 /// Prints a text without a line end.
@@ -29,8 +29,8 @@ pub fn say(line: impl Display) -> anyhow::Result<bool> {
     write(format_args!("{}\n", plain(line)))
 }
 
-/// The exit status of a command: 1 in place of 0, and a message, if the reader of standard output closed it before the
-/// whole answer was printed.
+/// The exit status of a command. If the reader closed standard output before the end of the answer, a message is
+/// printed, and the exit status is 1 in place of 0.
 pub fn exit_status(status: ExitCode) -> ExitCode {
     if !LOST.load(Ordering::Relaxed) {
         return status;
@@ -44,7 +44,7 @@ pub fn answer(answer: &(impl Serialize + Display), json: bool) -> anyhow::Result
     answered(answer, json).map(|_| ExitCode::SUCCESS)
 }
 
-/// As [`answer`], and returns whether the reader was still open.
+/// Prints like [`answer`], and returns whether the reader was still open.
 pub fn answered(answer: &(impl Serialize + Display), json: bool) -> anyhow::Result<bool> {
     let text = if json { serde_json::to_string(answer)? } else { answer.to_string() };
     say(text.trim_end_matches('\n'))

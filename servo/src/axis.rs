@@ -314,7 +314,7 @@ impl ServoAxis {
     pub(crate) fn capture(&mut self) {
         self.knot = Knot::at_rest(self.state.position);
         self.commanded = [self.state.position; REMEMBERED];
-        // The step of the following error is no motion of the set-points.
+        // The following error changes in one step here, without a motion of the set-points.
         self.change = Change::default();
         if self.is_far_from_rest() {
             self.forget_load();
@@ -349,7 +349,7 @@ impl ServoAxis {
         self.commanded = std::array::from_fn(|age| self.state.position + velocity * dt * (shown as f64 - age as f64));
         self.knot = Knot::new(self.commanded[0], velocity);
         host.follow(self.commanded, velocity);
-        // The step of the following error is no motion of the set-points.
+        // The following error changes in one step here, without a motion of the set-points.
         self.change = Change::default();
         self.oscillation.forget();
     }
@@ -403,7 +403,8 @@ impl ServoAxis {
         self.oscillation.forget();
     }
 
-    /// Forgets the last samples of the position and of the following error. The motor was not led, or the counter was set.
+    /// Forgets the last samples of the position and of the following error: no loop braked the motor, or the counter
+    /// was set.
     fn forget_course(&mut self) {
         self.change = Change::default();
         self.progress.forget();

@@ -284,7 +284,7 @@ pub enum StopCause {
     Overloaded { missed: u32, deadlines: u32 },
 }
 
-/// What is said of deadlines that were missed in a row.
+/// Text for deadlines that were missed in a row.
 fn missed_in_row(count: u32) -> String {
     match count {
         1 => "1 cycle missed its deadline".to_owned(),

@@ -10,13 +10,13 @@ use crate::mrroc::{binary, mrroc};
 const LOST: &str = "mrroc: the answer cannot be printed: standard output is closed\n";
 
 /// Asserts that commands end with status 1 and a message if a reader closes the output before the answer. A command that
-/// fails keeps its status. A case is words and a file.
+/// fails keeps its status. A case consists of arguments and a file.
 pub fn is_an_error(cases: &[(&str, Option<&OsStr>)]) {
     ends(cases, true);
 }
 
 /// Asserts that commands end with the same status and the same messages if a reader closes the output early, as `head`
-/// does. A case is words and a file.
+/// does. A case consists of arguments and a file.
 pub fn ends_as_ever(cases: &[(&str, Option<&OsStr>)]) {
     ends(cases, false);
 }

@@ -251,7 +251,7 @@ impl Running {
     }
 
     /// Waits until `file` satisfies `wanted`. Returns the outputs of the command if it ends before. Panics at the
-    /// deadline. A look at a long file takes a while, and the looks take a tenth of the time at most.
+    /// deadline. Reading a long file takes time: the pauses limit the share of reading to a tenth.
     pub fn ended_before(&self, file: &Path, wanted: impl Fn(&str) -> bool) -> Result<(), String> {
         const PAUSE: Duration = Duration::from_millis(20);
         let end = clock::now() + DEADLINE;

@@ -326,7 +326,7 @@ fn an_answer_near_a_singular_posture_says_so_and_what_to_do() {
             assert!(ask(&words).stdout.contains(&open), "{robot}");
         }
     }
-    // No note beside a posture that the pose determines.
+    // A posture that the pose determines has no note.
     for (robot, joints) in [("irp6", "0.3,-1.4,0.1,0.2,0.5,0.5"), ("irb6", "0.3,-1.4,0.1,0.2,0.5"), ("gripper", "0.08")]
     {
         let pose = answer(&format!("fk --robot {robot} --joints={joints}"));

@@ -196,7 +196,8 @@ fn a_check_says_how_the_arm_is_solved_and_what_its_emulation_lacks() {
     assert!(!redundant.contains("mass"), "{redundant}");
 }
 
-/// Rows of the fault table of a robot of one's own whose drives, weight and speeds differ from those of the built-in robots.
+/// Rows of the fault table of a described robot. Its drives, weight and speeds differ from those of the built-in
+/// robots.
 #[test]
 fn faults_of_a_heavy_and_slow_arm_end_within_their_bounds() {
     let file = CellFile::read(example("puma560")).unwrap();
@@ -213,7 +214,7 @@ fn faults_of_a_heavy_and_slow_arm_end_within_their_bounds() {
     assert!(table.played() >= 17, "{table}");
     let red: Vec<_> = table.red().map(|row| (row.fault, row.phase.name(), &row.reasons)).collect();
     assert!(red.is_empty(), "{red:?}");
-    // An arm that falls is held by its motors, and a fault that a motion shows is found.
+    // The motors hold an arm that falls. A fault that shows in a motion is detected.
     let results = table.rows.iter().filter_map(|row| Some((row.fault, row.result.as_ref()?)));
     let results: Vec<_> = results.filter(|(_, result)| result.detection.is_some()).collect();
     let count = |fault: &str| results.iter().filter(|(of, _)| *of == fault).count();

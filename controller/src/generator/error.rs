@@ -172,7 +172,7 @@ impl GeneratorError {
     }
 }
 
-/// What to do about a jump.
+/// Remedy for a jump.
 fn remedy(singular: bool) -> &'static str {
     if singular {
         "a posture beside a singular posture, which does not determine the axis: give positions and orientations with \

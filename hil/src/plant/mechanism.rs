@@ -56,7 +56,7 @@ pub enum MechanismConfig {
     },
     /// One to eight axes in series, with any axes, masses and inertias.
     Chain(Arc<ChainBodies>),
-    /// Links in any arrangement, which a function places.
+    /// Links in any arrangement. A function computes their poses.
     Linkage(Arc<LinkageBodies>),
 }
 
@@ -67,11 +67,11 @@ pub enum MechanismConfig {
 /// millisecond. Left out: bending; friction that depends on load.
 ///
 /// In a [`MechanismConfig::Chain`] and a [`MechanismConfig::Linkage`], accelerations and velocities of all axes act on
-/// each motor (inertial coupling, Coriolis and centrifugal torques). Motors that advance together couple in each
-/// sub-step of 100 µs. The motors of a [`Scene`](crate::scene::Scene) do so. Otherwise a motor feels the torques of the
-/// other motors when its own drive advances, for example once per SYNC. An axis without a motor is held, and so is an
-/// axis with the regression model. In the robots of the laboratory these torques are left out. An exception is a change
-/// of inertia by the other axes, which conserves momentum.
+/// each motor (inertial coupling, Coriolis and centrifugal torques). Motors that advance together, such as the motors
+/// of a [`Scene`](crate::scene::Scene), couple in each sub-step of 100 µs. Otherwise the torques of the other motors
+/// act on a motor when its own drive advances, for example once per SYNC. An axis without a motor is held, and so is an
+/// axis with the regression model. The models of the laboratory's robots leave these torques out, except that a
+/// change of inertia by the other axes conserves the momentum.
 ///
 /// In a [`Scene`](crate::scene::Scene), the forces on the flange also load the motors, in each sub-step.
 ///

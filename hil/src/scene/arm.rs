@@ -258,7 +258,7 @@ fn place(flange: &Moving) -> Place {
 pub struct FlangeProbe(Seat);
 
 impl FlangeProbe {
-    /// Place of the flange in the world, of the last positions of the motors.
+    /// Place of the flange in the world, from the last positions of the motors.
     pub fn pose(&self) -> Isometry3<f64> {
         let place = place(&self.0.flange(&self.0.mechanism.shafts()));
         Isometry3::from_parts(place.origin.into(), place.turn)

@@ -116,8 +116,8 @@ impl Emulation {
         (emulation, ends)
     }
 
-    /// New host's ends in place of the old ones, for a controller that starts again. Sensors and devices on lines of
-    /// their own get none.
+    /// New ends of the host in place of the old ends, for a controller that starts again. Sensors and devices on lines
+    /// of their own get no new ends.
     pub fn reconnect(&mut self, file: &CellFile) -> HostEnds {
         let Self { world, buses, ids, .. } = self;
         let ports = buses.iter().map(|&bus| Box::new(world.replace_port(bus, QUEUE)) as _).collect();

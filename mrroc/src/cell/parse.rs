@@ -1,4 +1,4 @@
-//! The way from the text of a cell file to a checked cell.
+//! Conversion of the text of a cell file into a checked cell.
 
 use super::{Cell, CellError, LARGEST, chain, error, read, validation};
 

@@ -75,7 +75,7 @@ pub(crate) fn element<T: DeserializeOwned>(text: &str, document: &DeValue<'_>, p
     T::deserialize(value).map_err(|refusal| refused(refusal).of(text))
 }
 
-/// The element at `path`, which the document has, and its place in a refusal.
+/// The element at `path`, and its place in a refusal. The document must have the element.
 fn at<'de>(document: &'de DeValue<'de>, path: &'de Path) -> (Value<'de>, impl Fn(ValueError) -> ValueError + use<'de>) {
     let mut value = Value { value: document, offset: 0 };
     for step in &path.0 {
@@ -90,7 +90,7 @@ fn at<'de>(document: &'de DeValue<'de>, path: &'de Path) -> (Value<'de>, impl Fn
     (value, refused)
 }
 
-/// Reads those entries of the table at `path`, which the document has, whose key is `wanted`.
+/// Reads the entries with `wanted` keys of the table at `path`. The document must have the table.
 pub(crate) fn entries<T: DeserializeOwned>(
     text: &str,
     document: &DeValue<'_>,

@@ -20,7 +20,7 @@ use crate::cell::{CellError, DEVICE_KEYS, DeviceKeys, Path, one_of, quoted, read
 ///
 /// # Panics
 ///
-/// If another kind has the name, or if the kind has a key that every device has.
+/// If another kind has the name, or, with the feature `schema`, if the kind has a key that every device has.
 pub fn register<T: OwnDevice>() {
     let mut kinds = KINDS.write().unwrap_or_else(PoisonError::into_inner);
     let taken = kinds.iter().find(|kind| kind.name == T::KIND);
@@ -116,7 +116,7 @@ pub(crate) fn check(text: &str, document: &DeValue<'_>) -> Result<(), CellError>
     for (index, device) in devices.into_iter().flatten().enumerate() {
         let path = Path::to("device").then(index);
         if device.get_ref().as_table().is_none() {
-            // The whole cell is read next, and refuses the value.
+            // The value is refused when the whole cell is read next.
             return Ok(());
         }
         read_entries::<DeviceKeys>(text, document, &path, |key| DEVICE_KEYS.contains(&key))?;

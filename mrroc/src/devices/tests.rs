@@ -302,7 +302,7 @@ fn a_recording_has_the_samples_and_replays_them_bit_for_bit() {
     let report = run(&file, &options, measure).unwrap();
     let replayed = replay(&path, &ReplayOptions::default()).unwrap();
     assert!(replayed.is_equal() && replayed.is_whole(), "{replayed}");
-    // A cell whose device has another kind of answers gives other samples.
+    // A cell whose device has another name is refused.
     let other = directory.path().join("other.toml");
     std::fs::write(&other, text("reach = 4.0").replace("\"front\"", "\"rear\"")).unwrap();
     let error = replay(&path, &ReplayOptions { cell: Some(other) }).unwrap_err();

@@ -49,7 +49,7 @@ pub(super) struct Channel {
     pub(super) topic: String,
     /// Name of the message.
     pub(super) message: &'static str,
-    /// What the file says of the channel.
+    /// Metadata of the channel in the file.
     pub(super) metadata: BTreeMap<String, String>,
 }
 

@@ -375,7 +375,7 @@ pub(crate) fn flight_directory(file: &CellFile, options: &RunOptions) -> anyhow:
     Ok(directory)
 }
 
-/// Begin of the keys of the facts that name kind and crate of each device of another crate.
+/// Prefix of the keys of the facts that name kind and crate of a device of another crate.
 const DEVICE: &str = "device ";
 
 impl Facts {

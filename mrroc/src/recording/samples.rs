@@ -1,4 +1,5 @@
-//! The message of the samples of devices of other crates. A recording of a cell without such a device does not have it.
+//! The message of the samples of devices of other crates. A recording of a cell without such a device lacks this
+//! message.
 
 use drive::device;
 

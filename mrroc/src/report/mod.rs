@@ -533,7 +533,7 @@ impl BusReport {
     }
 }
 
-/// What is said of errors on a CAN bus: error frames, times error passive and times bus off. `now`: the present state.
+/// Text for errors on a CAN bus: error frames, times error passive and times bus off. `now`: the present state.
 pub(crate) fn bus_errors([errors, error_passive, bus_off]: [u64; 3], now: &str) -> String {
     format!(
         "{}, error passive {}, bus off {}{now}: check bit rate, termination, cables, and power of the nodes",

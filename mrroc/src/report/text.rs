@@ -25,7 +25,7 @@ impl fmt::Display for RobotReport {
     }
 }
 
-/// What is said of records of cycles that were lost.
+/// Text for lost records of cycles.
 pub(super) fn lost_records(count: u64) -> String {
     counted_as(count, "record of cycles was lost", "records of cycles were lost")
 }

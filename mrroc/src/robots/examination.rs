@@ -41,8 +41,8 @@ pub fn examine(robot: &dyn Robot) -> Result<(), String> {
     }
 }
 
-/// Compares the flange that the emulated links have with the motors at some angles, by `place`, with forward kinematics and
-/// drive train of the robot. Describes the first contradiction.
+/// Compares two poses of the flange at the same angles of the motors: the pose from `place`, of the emulated links, and
+/// the pose from forward kinematics and drive train of the robot. Describes the first contradiction.
 pub(super) fn examine_links(robot: &dyn Robot, mut place: impl FnMut(&[f64]) -> Option<Pose>) -> Result<(), String> {
     for joints in (1..=POSTURES).filter_map(|number| spread(robot, number)) {
         let (Ok(motors), Ok(pose)) = (robot.motors_from_joints(&joints), robot.forward(&joints)) else {

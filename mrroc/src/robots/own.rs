@@ -51,9 +51,9 @@ pub trait OwnRobot: RobotParameters + Default + fmt::Debug + Serialize + Deseria
     /// Writes the pose of each link and, last, that of the flange in the base frame, with the motors at these angles,
     /// rad, counted as in [`Robot::home`]. Returns false if the links cannot take such a pose.
     ///
-    /// The emulator knows the robot by this function alone: write it without the functions of [`Robot`], so that an
-    /// error in either of them is found. The flange is compared with [`Robot::forward`] when a cell is read. The
-    /// function is called many times per millisecond, so it does not allocate.
+    /// The emulator uses this function alone. Write it without the functions of [`Robot`], so that an error in either
+    /// of them is detected. The flange is compared with [`Robot::forward`] when a cell is read. The function is called
+    /// many times per millisecond, so it must not allocate.
     fn place_links(&self, _motors: &[f64], _poses: &mut [Pose]) -> bool {
         false
     }
@@ -226,7 +226,7 @@ impl OwnParameters {
         AxisConfig::nominal(&self.demand(&*robot, number)).map_err(|error| format!("joint {number}: {error}"))
     }
 
-    /// Requirements of a joint on its motor, which is at 0 at home.
+    /// Requirements of a joint on its motor, whose angle is 0 at home.
     fn demand(&self, robot: &dyn Robot, number: usize) -> NominalJoint {
         let (home, limits) = (robot.home()[number], robot.motor_limits()[number]);
         let EmulatedJoint { ratio, inertia, velocity, effort } = self.0.joint(number);
@@ -269,7 +269,7 @@ impl OwnParameters {
     }
 }
 
-/// Poses of the links of a robot by the angles of its motors from home.
+/// Poses of the links of a robot, from the angles of its motors from home.
 #[derive(Debug)]
 struct Placed {
     numbers: Arc<dyn Numbers>,

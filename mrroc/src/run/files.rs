@@ -117,7 +117,7 @@ impl Logs {
         }
     }
 
-    /// Entries of ports and lines, and samples, that found no room.
+    /// Number of entries of ports and lines, and of samples, that were dropped because a ring was full.
     fn lost(&self) -> u64 {
         let buses = self.buses.iter().map(TraceReader::lost).sum::<u64>();
         let lines = self.lines.iter().map(LineTraceReader::lost).sum::<u64>();

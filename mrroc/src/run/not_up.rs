@@ -43,7 +43,8 @@ pub fn why_not_up(file: &CellFile, why: NotUp) -> anyhow::Error {
     anyhow!("bus {name}{}: {error}", axis.or(io).or(sensor).unwrap_or_default())
 }
 
-/// As [`why_not_up`], and for a node that never booted what its bus tells. The servo is the one whose bring-up failed.
+/// The text of [`why_not_up`]. If a node never booted, the nodes that were heard and the errors of its bus are added.
+/// `servo`: the servo whose bring-up failed.
 pub fn diagnosed(file: &CellFile, servo: &Servo, why: NotUp) -> anyhow::Error {
     let error = why_not_up(file, why);
     let NotUp::Group(
@@ -137,7 +138,7 @@ mod tests {
             of(&[1, 17]),
             "heard on the bus: nodes 1 and 17; node 17 not in the cell: check the node-ID, power and connector"
         );
-        // Errors of the bus are told although nodes were heard.
+        // Errors of the bus are reported although nodes were heard.
         let port = can::Counters { received: 9, errors: 1, passive: 2, ..can::Counters::default() };
         let troubled =
             GroupCounters { heard: 1 << 2, port, state: ControllerState::Passive, ..GroupCounters::default() };

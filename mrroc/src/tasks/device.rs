@@ -11,7 +11,7 @@ use thiserror::Error;
 use super::TaskError;
 use crate::cell;
 
-/// Sample times, beside the tolerated missing samples, in which a sample arrives that was measured after the call.
+/// Sample times, in addition to the tolerated missing samples, within which a sample measured after the call arrives.
 const PATIENCE: u32 = 4;
 
 /// A device of a kind that the program has added.

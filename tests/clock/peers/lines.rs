@@ -25,7 +25,8 @@ const MEDIAN: f64 = 1.3;
 const PERIOD: Duration = Duration::from_millis(2);
 /// Number of joint positions of a line for toppra.
 const PARTS: f64 = 60.0;
-/// Largest motion of a joint that stands, rad or m. toppra finds no solution for some joints that nearly stand.
+/// Largest motion of a joint that counts as standing, rad or m. toppra finds no solution for some joints that nearly
+/// stand.
 const STANDING: f64 = 1e-6;
 /// Largest accepted share of lines for which toppra finds no solution.
 const UNSOLVED: f64 = 0.1;
@@ -47,7 +48,7 @@ fn arms() -> [(&'static str, Arm); 5] {
     ]
 }
 
-/// A random posture in the inner part of all ranges, and a random place beside the tool.
+/// A random posture in the inner part of all ranges, and a random place near the tool.
 fn drawn(arm: &Arm, draw: &mut Draw) -> Option<(EffectorImage, Pose)> {
     let mut joints = Axes::default();
     for (joint, limits) in joints.iter_mut().zip(arm.robot().joint_limits()) {
@@ -113,7 +114,7 @@ fn points(arm: &Arm, joints: &[Axes]) -> Vec<Axes> {
     points
 }
 
-/// The question to toppra for the shortest duration on a path within limits. The grid is that of the controller.
+/// The request to toppra for the shortest duration on a path within limits, on the grid of the controller.
 fn asked(points: &[Axes], limits: &MotionLimits) -> Option<Value> {
     let path = JointPath::through(COORDINATES, points, SplineEnds::NotAKnot).ok()?;
     let timing = PathTiming::optimal(path, limits, EndSpeeds::default()).ok()?;
@@ -132,7 +133,7 @@ fn asked(points: &[Axes], limits: &MotionLimits) -> Option<Value> {
     }))
 }
 
-/// The value at a share of ascending values.
+/// The quantile of the values at `share`.
 fn quantile(values: &mut [f64], share: f64) -> f64 {
     values.sort_by(f64::total_cmp);
     values[((values.len() - 1) as f64 * share).round() as usize]

@@ -52,7 +52,8 @@ fn triple(draw: &mut Draw, size: f64) -> [f64; 3] {
     std::array::from_fn(|_| draw.within(-size, size))
 }
 
-/// The joints from the last to the first, each with the effort that the links behind it need.
+/// The joints in their order, drawn from the last to the first. Each joint has the effort that the links behind it
+/// need.
 fn joints(draw: &mut Draw) -> Vec<Joint> {
     let count = 1 + draw.below(8);
     let (mut mass, mut reach) = (0.0, 0.0);
@@ -90,7 +91,7 @@ fn joint(draw: &mut Draw, number: usize, mass: &mut f64, reach: &mut f64) -> Joi
     Joint { is_linear, low, high, velocity, effort: (2.5 * load).max(10.0), ratio, text }
 }
 
-/// Motors from joints: the ratios alone, or belts that turn each motor with the joints before its own.
+/// Matrix from joints to motors: the ratios alone, or belts that turn each motor with the joints before its own.
 fn matrix(draw: &mut Draw, joints: &[Joint]) -> Vec<Vec<f64>> {
     let is_coupled = joints.len() > 1 && draw.one_in(3);
     let share = |draw: &mut Draw, is_coupled: bool| if is_coupled { draw.within(-0.3, 0.3) } else { 0.0 };
@@ -180,7 +181,7 @@ fn program(draw: &mut Draw, joints: &[Joint]) -> String {
     text
 }
 
-/// Runs a cell after its check.
+/// Checks a cell, runs it, and compares both.
 fn judge(text: &str) -> Verdict {
     let folder = Directory::new();
     let path = folder.write("cell.toml", text);
@@ -222,8 +223,9 @@ fn faulted(report: &RunReport, warnings: &[String]) -> Verdict {
     if foretold { Verdict::Foretold } else { Verdict::Failed(format!("{}: {}", report.outcome, said.join("; "))) }
 }
 
-/// Whether commands and motors of all cycles keep the limits of velocity, and the joints their ranges. A motor that is
-/// faster than its commands by more than its following error in a tenth of a second has taken up energy from nowhere.
+/// Whether the motors keep their limits of velocity in all cycles and follow their commands, and the joints keep their
+/// ranges. A motor may exceed its limit by its following error in a tenth of a second. A faster motor gained energy
+/// without a cause.
 fn within_limits(file: &CellFile, record: &str) -> Result<(), String> {
     let (robot, arm) = (&file.cell.robot[0], &file.arms[0]);
     let mut lines = record.lines();

@@ -119,15 +119,15 @@ impl FaultCase {
     /// Declared bounds on robot 0 of a cell whose motors move at `velocity`, rad/s. `detected` is the time of the detection.
     ///
     /// The distance of a motor is the sum of three parts, with a margin. The motor moves on until the detection, and for the
-    /// four periods from sample to effect. The stop keeps the path: all motors brake in the time that the slowest of them
-    /// takes with the deceleration of its limit. Twice the following error is added, for the distances between motor and
-    /// set-point at the strike and at the end.
+    /// four periods from sample to effect. The stop keeps the path: all motors have the same braking time, which is the
+    /// longest one of all axes at their greatest accelerations. Twice the following error is added, for the distances
+    /// between motor and set-point at the strike and at the end.
     ///
-    /// The following error itself limits the distance of the struck motor until it finds a fault. In a motion, the other
-    /// motors follow their set-points until the detection. The time of such a detection is four times the time at constant
-    /// speed to the limit of the error, and to the obstacle of a collision. A motor that a sagging supply slows has five
-    /// times this time, because it may keep four fifths of its speed. In homing, it moves on for this time, less the
-    /// following error by which it is then late.
+    /// If the following error detects the fault, this error itself limits the distance of the struck motor until the
+    /// detection. In a motion, the other motors follow their set-points until then. The bound of the detection time is
+    /// four times the time at constant speed to the limit of the error, and to the obstacle of a collision, plus 50 ms.
+    /// For a sagging supply the factor is five, because the motor may keep four fifths of its speed. In homing, this
+    /// motor moves on for the detection time, less the following error by which it then lags.
     pub(super) fn bounds(
         &self,
         file: &CellFile,
@@ -179,7 +179,7 @@ impl FaultCase {
         let distance = |number: usize| {
             let speed = velocity[number].abs();
             let given = robot.axis.get(number)?;
-            // The axes search one by one.
+            // In homing, the axes move one after the other.
             let braking = match phase {
                 FaultPhase::Homing => speed * speed / (2.0 * given.max_acceleration),
                 _ => speed * longest / 2.0,

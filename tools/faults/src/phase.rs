@@ -103,8 +103,8 @@ impl Course {
         Self { ramp: step * steps, ..fast }
     }
 
-    /// The usual motion, which takes longer if the first motor is slow: behind the strike of a row of contact, the motor
-    /// still passes an obstacle, and comes late by its following error.
+    /// The usual motion. If the first motor is slow, the motion takes longer: after the strike of a row of contact, the
+    /// motor needs time to reach an obstacle and to lag by its following error.
     fn usual(file: &CellFile) -> Self {
         let Self { ramp, cruise, speed, effort, .. } = Self::USUAL;
         let Some(axis) = file.cell.robot.first().and_then(|robot| robot.axis.first()) else { return Self::USUAL };
@@ -118,7 +118,7 @@ impl Course {
         Self { cruise: cruise + step * steps, ..Self::USUAL }
     }
 
-    /// Time by which the motion takes longer than the usual motion at constant speed.
+    /// Additional time at constant speed, compared with the usual motion.
     pub(super) fn longer(&self) -> Duration {
         self.cruise.saturating_sub(Self::USUAL.cruise)
     }

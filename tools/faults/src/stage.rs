@@ -308,7 +308,8 @@ impl<'a> Stage<'a> {
             numbers.increments = (multiple * smallest_step(self.file, given, speed)).ceil() as i32;
         }
         if kind == FaultKind::SaggingSupply && self.phase(0) == Phase::Moving {
-            // A supply that suffices for the motion is no fault: at most half of the back-EMF is left.
+            // A supply that is sufficient for the motion is no fault. It therefore provides at most half of the
+            // back-EMF.
             let plant = plant(self.file, 0, axis);
             let back = plant.plant.torque_constant() * self.motions[0].velocity[axis].abs();
             numbers.share = numbers.share.min(0.5 * back / plant.amplifier.max_voltage);

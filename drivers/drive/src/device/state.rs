@@ -121,7 +121,7 @@ impl DeviceSamples {
         self.ring.pop().ok()
     }
 
-    /// Number of samples that found no room.
+    /// Number of samples that were dropped because the ring was full.
     pub fn lost(&self) -> u64 {
         self.lost.load(Ordering::Relaxed)
     }

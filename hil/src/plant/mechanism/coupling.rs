@@ -44,7 +44,7 @@ pub(super) struct Coupling {
     inertia: Square,
     /// Torque of the weight on each motor, N·m.
     weight: Column,
-    /// The links are in a pose that has no inertia of its own: the inertia of an earlier pose is held.
+    /// Whether the present pose has no inertia of its own. The inertia of an earlier pose is then held.
     holds: bool,
     /// A column for each motor: accelerations of all motors, rad/s², because that motor turns.
     changes: Square,
@@ -130,12 +130,12 @@ impl Coupling {
         if since == motors { Turning::All } else { Turning::One(axis) }
     }
 
-    /// Share of the velocities that the motors keep when the links have an inertia of their own again. The kinetic
-    /// energy does not grow.
+    /// Share of the velocities that the motors keep when the links return to a pose with an inertia of its own. The
+    /// kinetic energy does not grow.
     fn slowed_by(&self, inertia: &Square) -> f64 {
         let energy = |inertia: &Square| self.velocities.dot(&(inertia * self.velocities));
         let share = (energy(&self.inertia) / energy(inertia)).sqrt();
-        // Motors at rest have no share.
+        // The share is not a number if the motors are at rest.
         if share < 1.0 { share } else { 1.0 }
     }
 
@@ -222,8 +222,8 @@ pub(super) trait Coupled {
         (coupling.turning, coupling.interval, coupling.age) = (turning, interval, [0; AXES]);
     }
 
-    /// Holds the inertia of the last pose in a pose that the links cannot take. Without an earlier pose, the motors
-    /// turn their rotors. The links have no weight, so that no energy arises.
+    /// Holds the inertia of the last pose while the links cannot take the present pose. Without an earlier pose, each
+    /// motor turns its rotor alone. The links have no weight meanwhile, so the energy does not grow.
     fn hold(&mut self, turning: Turning) {
         let rotors = *self.rotors();
         let coupling = self.coupling_mut();

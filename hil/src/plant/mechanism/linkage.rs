@@ -8,7 +8,8 @@
 //! * Changes of the inertia ∂M/∂θ, which give the Coriolis and centrifugal torques.
 //!
 //! The steps of the differences are a small part of a radian or metre of a joint. The relative error of M is of the
-//! order of 1e-9 and that of ∂M/∂θ of the order of 1e-7, for links that a joint moves through a bend of about 1 rad.
+//! order of 1e-9 and that of ∂M/∂θ of the order of 1e-7, for links whose motion curves by about 1 rad per radian or
+//! metre of a joint.
 
 use std::fmt;
 use std::sync::Arc;
@@ -38,10 +39,10 @@ pub trait LinkPoses: fmt::Debug + Send + Sync {
     /// Writes the pose of each link, and last that of the flange, in the base frame, with the motors at these angles
     /// from home, rad. Returns false if the links cannot take such a pose.
     ///
-    /// The mechanism then keeps its last inertia, and has no weight. It does the same near a singular pose, where the
-    /// inertia at a motor changes by its own size within a hundredth of a radian.
+    /// Without a pose, the mechanism keeps its last inertia and has no weight, and so it does near a singular pose:
+    /// where the inertia at a motor changes by its own size within a hundredth of a radian or metre of the joint.
     ///
-    /// An emulation calls this function many times per millisecond, so it does not allocate.
+    /// An emulation calls this function many times per millisecond, so it must not allocate.
     fn place(&self, motors: &[f64], poses: &mut [Isometry3<f64>]) -> bool;
 }
 
@@ -136,7 +137,7 @@ struct Body {
     inertia: Matrix3<f64>,
 }
 
-/// Equal linkages have the same function.
+/// Two linkages are equal if they share the function that places the links, and have equal numbers.
 impl PartialEq for LinkageBodies {
     fn eq(&self, other: &Self) -> bool {
         let numbers = |it: &Self| (it.up, it.ratios, it.rotors, it.axes);
@@ -190,8 +191,8 @@ impl LinkageBodies {
         (is_placed && used.iter().all(is_finite)).then_some(poses)
     }
 
-    /// The poses below and above a pose, by a part of a radian or metre of the joint, and the difference of the motor,
-    /// rad.
+    /// Values of `what` on both sides of a pose, `by` radians or metres of the joint away, and the difference of both
+    /// motor angles, rad.
     fn around<T>(
         &self,
         motors: &[f64; AXES],

@@ -41,7 +41,7 @@ pub(super) fn check(cell: &Cell) -> Checked {
     Ok(())
 }
 
-/// Name and line are those of no other sensor.
+/// Refuses the name or the line of another sensor.
 fn check_apart(cell: &Cell, path: &Path, device: &Device) -> Checked {
     let forces = cell.force_sensor.iter().map(|it| (&it.name, it.line.as_ref())).enumerate();
     let matrices = cell.ultrasonic.iter().map(|it| (&it.name, Some(&it.line))).enumerate();

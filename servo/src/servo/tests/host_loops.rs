@@ -249,8 +249,8 @@ fn a_stop_after_an_overrun_begins_from_the_motion_measured() {
     }
 }
 
-/// After missed deadlines, the commands continue from the measured position. This step of the following error is no motion
-/// of the set-points: the loop of a motor that an obstacle holds keeps its power and brakes.
+/// After missed deadlines, the commands continue from the measured position. The following error changes in one step,
+/// without a motion of the set-points. The loop of a motor that an obstacle holds keeps its power and brakes.
 #[test]
 fn a_motor_that_an_obstacle_holds_keeps_its_power_after_missed_deadlines() {
     for config in laws(2) {

@@ -131,7 +131,7 @@ fn a_blocked_motor_stops_the_effector() {
 }
 
 /// A motor that an obstacle slowed stands far behind its set-point until its power is off. Enabling takes its position as
-/// the set-point: this step of the following error is no motion of the set-points.
+/// the set-point. The following error changes in one step, without a motion of the set-points.
 #[test]
 fn a_motor_that_stood_behind_its_set_point_is_enabled_again_without_a_fault() {
     for fails in [true, false] {
@@ -158,7 +158,7 @@ fn a_motor_that_stood_behind_its_set_point_is_enabled_again_without_a_fault() {
         rig.order(Order::Enable);
         rig.run(50);
         assert_eq!((rig.phase(), rig.cause()), (Phase::Standing, None), "{fails}");
-        // The watch begins anew.
+        // The monitoring starts again.
         let at = rig.world().axes[1].state.position;
         rig.world().axes[1].blocked = true;
         let here = rig.world().axes[0].state.position;

@@ -92,7 +92,7 @@ pub(crate) fn sheet(machine: &Machine) -> String {
     page
 }
 
-/// Adds what the fractions of joint motions are fractions of.
+/// Adds the velocity and acceleration of which joint motions use fractions.
 fn joint_motions(page: &mut String) {
     let ((velocity, acceleration, _), (of_velocity, of_acceleration)) = (JOINT_LIMITS, PLANNED);
     let _ = write!(

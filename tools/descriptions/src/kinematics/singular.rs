@@ -8,15 +8,15 @@ use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 /// Change of a pose, m and rad: the sixth digit.
 const CHANGE: f64 = 1e-6;
 
-/// Motion of an axis by this change from which on the posture is beside a singular one, rad or m. An axis of a posture far
-/// from singular ones moves by some 1e-6.
+/// Motion of an axis by this change above which the posture counts as beside a singular posture, rad or m. Far from
+/// singular postures, an axis moves by about 1e-6.
 const SENSITIVE: f64 = 5e-4;
 
-/// Largest difference of an axis that counts as none, rad or m.
+/// Largest difference of an axis that is neglected, rad or m.
 const SAME: f64 = 1e-6;
 
-/// What is said of a posture if it is beside a singular one: the axis that the pose does not determine, and what to do if
-/// this axis is not where it is in the posture `near`, which `near_is` names.
+/// The note on a posture beside a singular posture: the axis that the pose does not determine, and what to do if this
+/// axis differs from the posture `near`. `near_is`: name of `near` in the note.
 pub(super) fn note(robot: &dyn Robot, joints: &Joints, near: &Joints, near_is: &str) -> Option<String> {
     let axis = open_axis(robot, joints).ok()??;
     let by = (joints[axis] - near[axis]).abs();
@@ -30,8 +30,8 @@ pub(super) fn note(robot: &dyn Robot, joints: &Joints, near: &Joints, near_is: &
     Some(format!("beside a singular posture, and the pose does not determine axis {axis}: {told}"))
 }
 
-/// The axis that moves farthest if the pose changes in its sixth digit; `None` if no axis moves far. Among axes within
-/// 10 % of it, the axis nearest to the base.
+/// The axis that moves farthest if the pose changes in its sixth digit; `None` if no axis moves far. Among axes with at
+/// least 90 % of the greatest motion, the axis nearest to the base.
 fn open_axis(robot: &dyn Robot, joints: &Joints) -> Result<Option<usize>, KinematicsError> {
     let pose = robot.forward(joints)?;
     let mut moved = vec![0.0_f64; robot.axes()];
@@ -42,7 +42,7 @@ fn open_axis(robot: &dyn Robot, joints: &Joints) -> Result<Option<usize>, Kinema
             let solved = [Translation3::from(by) * pose, turned].map(|changed| robot.inverse(&changed, joints));
             for changed in solved.iter().flatten() {
                 for (axis, moved) in moved.iter_mut().enumerate() {
-                    // Whole turns are another solution of the same axis.
+                    // Whole turns lead to the same pose.
                     let by = changed.preferred()[axis] - joints[axis];
                     *moved = moved.max((by - TAU * (by / TAU).round()).abs());
                 }

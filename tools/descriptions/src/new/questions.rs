@@ -1,4 +1,4 @@
-//! Questions of `mrroc new` for what its arguments leave open, and places of descriptions in packages.
+//! Questions of `mrroc new` for missing arguments, and places of descriptions in packages.
 
 use std::io::{BufRead, IsTerminal as _, Write};
 use std::path::{Path, PathBuf};
@@ -7,7 +7,7 @@ use anyhow::{Context as _, bail, ensure};
 
 use super::Options;
 
-/// Begin of the name of a file in a package of ROS.
+/// Prefix of the name of a file in a package of ROS.
 const IN_A_PACKAGE: &str = "package://";
 
 /// A package of ROS and its folder.
@@ -30,7 +30,7 @@ impl std::str::FromStr for Package {
     }
 }
 
-/// What to write, and from which description.
+/// The cell file to write, and the description of its robot.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Order {
     pub(super) cell: PathBuf,
@@ -40,7 +40,7 @@ pub(super) struct Order {
 }
 
 impl Order {
-    /// The order that the arguments and, on a terminal, the answers of the user give.
+    /// The order from the arguments and, on a terminal, from the answers of the user.
     pub(super) fn of(options: &Options) -> anyhow::Result<Self> {
         let stdin = std::io::stdin();
         let is_whole = options.cell.is_some() && options.urdf.is_some();
@@ -51,7 +51,7 @@ impl Order {
         Self::asked(options, &mut stdin.lock(), &mut std::io::stderr())
     }
 
-    /// Asks for what the arguments leave open. With both files in the arguments, nothing is asked.
+    /// Asks for missing arguments. If the arguments name both files, no question is asked.
     fn asked(options: &Options, answers: &mut dyn BufRead, questions: &mut dyn Write) -> anyhow::Result<Self> {
         let is_whole = options.cell.is_some() && options.urdf.is_some();
         let mut ask = |question: &str, usual: Option<&str>| -> anyhow::Result<Option<String>> {

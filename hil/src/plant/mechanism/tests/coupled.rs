@@ -28,7 +28,7 @@ impl Swing {
         Self::of(arm, config, motors)
     }
 
-    /// The mechanism `config` describes the same arm.
+    /// The arm with the mechanism `config`, which must describe the same arm.
     pub(super) fn of(arm: Arm, config: MechanismConfig, motors: &[f64]) -> Self {
         let mechanism = Mechanism::new(config);
         mechanism.set_payload(arm.payload.0, arm.payload.1);

@@ -1,4 +1,4 @@
-//! Linkages: chains that are described both ways, closed forms, and the energy of motors that swing freely.
+//! Linkages: comparison with equivalent chains and with closed forms, and energy of motors that swing freely.
 
 use std::sync::Arc;
 
@@ -36,7 +36,7 @@ fn norm(numbers: impl IntoIterator<Item = f64>) -> f64 {
     numbers.into_iter().map(|it| it * it).sum::<f64>().sqrt()
 }
 
-/// Difference of two arrays, per the greater of the first and `scale`.
+/// Difference of two arrays, relative to the norm of the first or to `scale`, whichever is greater.
 fn off<const N: usize>(one: &[f64; N], other: &[f64; N], scale: f64) -> f64 {
     norm(one.iter().zip(other).map(|(one, other)| one - other)) / norm(*one).max(scale)
 }
@@ -70,7 +70,8 @@ fn a_chain_that_a_function_places_has_the_dynamics_of_the_chain() {
         chain.set_payload(payload, &motors);
         placed.set_payload(payload, &motors);
         let (of_chain, of_links) = (torques(&chain, &motors, &rates), torques(&placed, &motors, &rates));
-        // The torques of a single joint are zero. Inertia that changes by its own size per radian has these torques.
+        // The torques of a single joint are zero. `usual`: torques of an inertia that changes by its own size per
+        // radian.
         let usual = norm(of_chain.0) * norm(rates.iter().copied()).powi(2) / ratio;
         let found = [
             off(&of_chain.0, &of_links.0, 0.0),
@@ -263,7 +264,7 @@ fn links_that_cannot_take_a_pose_keep_their_last_inertia() {
         (0..2).map(|number| PlantAxis::mounted(&motor(), 1, mechanism.mount(number, 0.0).as_ref())).collect();
     for _ in 0..6000 {
         axes.iter_mut().for_each(|axis| axis.advance(1, Demand::Off));
-        // The rods fall by less than 1 m: 32 J, which turn the rotors alone with 80 rad/s.
+        // The rods fall by less than 1 m. Their energy of 32 J turns the rotors alone at 80 rad/s.
         let fastest = axes.iter().map(|axis| axis.velocity().abs()).fold(0.0, f64::max);
         assert!(fastest < 80.0, "{fastest} rad/s at {} and {} rad", axes[0].angle(), axes[1].angle());
     }
