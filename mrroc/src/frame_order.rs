@@ -97,7 +97,7 @@ mod tests {
         log.extend(taken(|| order.rest()));
         assert_eq!(log.len(), 3000);
         assert!(log.is_sorted_by_key(|&(_, millis, _)| millis));
-        // The frames keep their own times. The times of the 40 ms after the step back lie among those of the 40 ms
+        // The frames keep their own times. Frames of the 40 ms after the step back lie among frames of the 40 ms
         // before.
         let times = log.iter().filter(|(bus, ..)| *bus == 0).map(|&(_, millis, _)| millis);
         let times: Vec<_> = times.collect();

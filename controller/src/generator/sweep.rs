@@ -135,7 +135,7 @@ impl Grid {
     }
 }
 
-/// The least bound in each cell: its own, or that of an earlier cell that reaches into the cell.
+/// The least bound in each cell: the bound of the cell itself, or of an earlier cell that reaches into the cell.
 fn swept(nodes: &[f64], bounds: &[f64], window: f64, least: f64) -> Vec<f64> {
     // Bounds and the ends of their reach, both ascending.
     let mut reaching: VecDeque<(f64, f64)> = VecDeque::new();

@@ -75,7 +75,7 @@ impl Arm {
         }
     }
 
-    /// The first entries of padded numbers: those of the axes of the robot.
+    /// The numbers of the axes of the robot, without the padding.
     pub fn given<Space>(&self, numbers: &Axes) -> Vector<Space> {
         Vector::new(&numbers[..self.axes()]).expect("a robot has no more axes than the servo")
     }

@@ -24,7 +24,7 @@ impl Cell {
     }
 }
 
-/// Adds the kinds of devices: the keys of every device, with those of one kind.
+/// Adds the kinds of devices. Each kind has the keys of every device and its own keys.
 fn add_devices(schema: &mut Schema, kinds: &[OwnKind]) {
     let Some(definitions) = schema.get_mut("$defs").and_then(Value::as_object_mut) else {
         return;

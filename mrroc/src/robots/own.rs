@@ -48,8 +48,8 @@ pub trait OwnRobot: RobotParameters + Default + fmt::Debug + Serialize + Deseria
         Vec::new()
     }
 
-    /// Writes the pose of each link and, last, that of the flange in the base frame, with the motors at these angles,
-    /// rad, counted as in [`Robot::home`]. Returns false if the links cannot take such a pose.
+    /// Writes poses in the base frame: the pose of each link, then the pose of the flange. The motors are at these
+    /// angles, rad, counted as in [`Robot::home`]. Returns false if the links cannot take such a pose.
     ///
     /// The emulator uses this function alone. Write it without the functions of [`Robot`], so that an error in either
     /// of them is detected. The flange is compared with [`Robot::forward`] when a cell is read. The function is called

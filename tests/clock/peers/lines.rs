@@ -20,7 +20,7 @@ use super::timing::judged;
 
 /// Lines of each robot. `MRROC_RANDOM_TIMES` multiplies this number.
 const LINES: usize = 25;
-/// Largest accepted median of the durations, relative to those of toppra, if the limits of the joints decide.
+/// Largest accepted median of durations relative to the optimum of toppra.
 const MEDIAN: f64 = 1.3;
 const PERIOD: Duration = Duration::from_millis(2);
 /// Number of joint positions of a line for toppra.

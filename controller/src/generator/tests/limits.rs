@@ -93,7 +93,7 @@ impl Limits {
         }
     }
 
-    /// The limits of a contour. The limit of the angular jerk determines that of the normal acceleration.
+    /// The limits of a contour. The limit of the normal acceleration follows from that of the angular jerk.
     fn feed(&self) -> FeedLimits {
         let [max_velocity, max_acceleration, max_jerk, max_angular_velocity, max_angular_acceleration, k] = self.tool;
         let max_normal_acceleration = k / 60.0;

@@ -8,7 +8,7 @@
 //! * Changes of the inertia ∂M/∂θ, which give the Coriolis and centrifugal torques.
 //!
 //! The steps of the differences are a small part of a radian or metre of a joint. The relative error of M is of the
-//! order of 1e-9 and that of ∂M/∂θ of the order of 1e-7, for links whose motion curves by about 1 rad per radian or
+//! order of 1e-9 and that of ∂M/∂θ of the order of 1e-7, for links whose path curves by about 1 rad per radian or
 //! metre of a joint.
 
 use std::fmt;
@@ -36,11 +36,11 @@ const STEEP: f64 = 0.05;
 
 /// Poses of the links of a mechanism as functions of its motors.
 pub trait LinkPoses: fmt::Debug + Send + Sync {
-    /// Writes the pose of each link, and last that of the flange, in the base frame, with the motors at these angles
-    /// from home, rad. Returns false if the links cannot take such a pose.
+    /// Writes poses in the base frame, with the motors at these angles from home, rad: the pose of each link, then the
+    /// pose of the flange. Returns false if the links cannot take such a pose.
     ///
-    /// Without a pose, the mechanism keeps its last inertia and has no weight, and so it does near a singular pose:
-    /// where the inertia at a motor changes by its own size within a hundredth of a radian or metre of the joint.
+    /// The mechanism then keeps its last inertia and has no weight. Near a singular pose, where the inertia at a motor
+    /// changes by its own size within a hundredth of a radian or metre of the joint, the mechanism does the same.
     ///
     /// An emulation calls this function many times per millisecond, so it must not allocate.
     fn place(&self, motors: &[f64], poses: &mut [Isometry3<f64>]) -> bool;
