@@ -153,8 +153,8 @@ pub enum GeneratorError {
 /// A jump that differs from whole turns by at most this angle counts as a turn back, rad.
 const TURN: f64 = 0.5;
 
-/// Distance of a posture from a singular posture, as `margin`, below which a jump is attributed to the singular
-/// posture. The distance is not zero, because the poses of a path are steps apart.
+/// Margin from a singular posture below which a jump is attributed to the singular posture. The margin is not zero,
+/// because the poses of a path are steps apart.
 const BESIDE: f64 = 0.03;
 
 impl GeneratorError {
