@@ -54,8 +54,9 @@ impl Logs {
         if let Some(steps) = &mut self.steps {
             steps.drain();
         }
-        self.drain_samples();
+        // The samples of these records are in their rings already.
         let count = self.records.slots();
+        self.drain_samples();
         if let Ok(records) = self.records.read_chunk(count) {
             let (first, rest) = records.as_slices();
             for record in first.iter().chain(rest) {

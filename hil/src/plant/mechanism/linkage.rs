@@ -387,7 +387,10 @@ impl Coupled for Linkage {
         for (axis, slope) in slopes.iter_mut().enumerate().take(self.bodies.axes) {
             let inertia = |motors: &[f64; AXES]| self.inertia(motors).map(|dynamics| dynamics.inertia);
             let ([low, high], difference) = self.bodies.around(motors, axis, CHANGE, inertia)?;
-            if (high - low).norm() > STEEP * dynamics.inertia.norm() {
+            // The other elements are ones on the diagonal.
+            let size = |inertia: &Square| inertia.view((0, 0), (self.bodies.axes, self.bodies.axes)).norm();
+            let is_gentle = size(&(high - low)) <= STEEP * size(&dynamics.inertia);
+            if !is_gentle {
                 return None;
             }
             *slope = (high - low) / difference;

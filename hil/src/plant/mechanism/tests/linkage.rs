@@ -282,6 +282,34 @@ fn links_that_cannot_take_a_pose_keep_their_last_inertia() {
     assert!(axis.velocity().is_finite());
 }
 
+/// A mechanism whose motors turn its links through gears.
+#[derive(Debug)]
+struct Geared<T>(T, f64);
+
+impl<T: LinkPoses> LinkPoses for Geared<T> {
+    fn place(&self, motors: &[f64], poses: &mut [Isometry3<f64>]) -> bool {
+        self.0.place(&motors.iter().map(|motor| motor / self.1).collect::<Vec<_>>(), poses)
+    }
+}
+
+#[test]
+fn links_near_a_singular_pose_are_found_behind_every_gear() {
+    let found = |ratio: f64| {
+        let poses = Arc::new(Geared(FiveBar(0.3), ratio));
+        let rotors = [0.01 / (ratio * ratio); 2];
+        let bodies = LinkageBodies::new(poses, &rods(), [0.0, 1.0, 0.0], &[ratio; 2], &rotors).unwrap();
+        let linkage = Linkage::new(Arc::new(bodies));
+        let bent = |by: f64| [by * ratio, -by * ratio, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0];
+        (0..2000).map(|step| linkage.pose_at(&bent(f64::from(step) * 5e-4)).is_some()).collect::<Vec<_>>()
+    };
+    let direct = found(1.0);
+    let last = direct.iter().rposition(|is_placed| *is_placed).unwrap();
+    let places = |motors: [f64; 2]| FiveBar(0.3).place(&motors, &mut [Isometry3::identity(); 5]);
+    let beyond = f64::from(last as u32 + 1) * 5e-4;
+    assert!(places([beyond, -beyond]), "the check must end before the links cannot be joined, at {beyond} rad");
+    assert!(direct == found(50.0));
+}
+
 /// A mechanism whose joined rods are too short for some of its poses.
 fn short() -> MechanismConfig {
     let bodies = LinkageBodies::new(Arc::new(FiveBar(0.3)), &rods(), [0.0, 1.0, 0.0], &[1.0; 2], &[0.01; 2]);
