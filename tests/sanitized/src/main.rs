@@ -15,10 +15,12 @@ fn main() -> Result<(), mrroc::Error> {
         "emulated" => BenchKind::Emulated,
         other => panic!("no bench of this process: {other}"),
     };
-    let (record, trace) = (Some(record.into()), Some(trace.into()));
-    let options = RunOptions { record, trace, ..RunOptions::on(bench) };
+    let file = CellFile::read(cell)?;
+    // Only cells with a CAN bus have a trace.
+    let trace = (!file.cell.bus.is_empty()).then(|| trace.into());
+    let options = RunOptions { record: Some(record.into()), trace, ..RunOptions::on(bench) };
     let program = CarriedTask::default().program();
-    let report = run(&CellFile::read(cell)?, &options, &Requests::default(), &program, &mut |_| {})?;
+    let report = run(&file, &options, &Requests::default(), &program, &mut |_| {})?;
     assert_eq!(report.outcome, RunOutcome::Completed, "{:?}", report.faults);
     println!("{} cycles", report.cycle.cycles);
     Ok(())
