@@ -134,6 +134,18 @@ impl LineConfig {
         interval + self.answer_timeout(period) + self.quiet_time(period) + 2 * period
     }
 
+    /// Shortest time between two samples: the device answers at once.
+    pub fn least_sample_time(&self, period: Duration) -> Duration {
+        if self.is_streamed() {
+            return self.interval;
+        }
+        let nanos = period.as_nanos().max(1);
+        // An answer that is not numbered precedes a reading without bytes.
+        let readings = self.line_time().as_nanos().div_ceil(nanos).max(1) + u128::from(!self.is_numbered);
+        let least = period * u32::try_from(readings).unwrap_or(u32::MAX);
+        least.max(self.query_interval(period))
+    }
+
     /// Time from one sample to the next without lost answers.
     pub fn sample_time(&self, period: Duration) -> Duration {
         let exchange = self.line_time() + self.answer_delay + 2 * period;

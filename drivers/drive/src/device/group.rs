@@ -10,7 +10,7 @@ use thiserror::Error;
 use super::driver::{LineConfig, LineDriver, MOST_QUERY, Reception};
 use super::fault::{DeviceError, DeviceFault};
 use super::state::{DeviceLink, DeviceSample, DeviceSamples, DeviceState, DriverEnds, ends};
-use super::value::{DeviceValue, MOST_VALUES, count_of};
+use super::value::{DeviceValue, MOST_VALUES, count_of, names_of};
 use crate::{AxisCommand, AxisState, BringUpError, DriveGroup, GroupCounters};
 
 /// Greatest length of one reading, bytes: the size of Linux's tty buffer. One reading therefore empties the buffer.
@@ -39,6 +39,8 @@ pub enum DeviceConfigError {
     Values { count: usize },
     #[error("the value {name:?}, must have letters, digits and _ alone, and another name than the values before")]
     Name { name: &'static str },
+    #[error("numbers of {first:?} and {second:?} with the same name, as several numbers of a value end in their index")]
+    Number { first: &'static str, second: &'static str },
     #[error("the range {low} to {high} of {name}, must be two finite numbers in ascending order")]
     Range { name: &'static str, low: f64, high: f64 },
     #[error("{baud} bit/s, must be 300 to 4000000")]
@@ -70,6 +72,12 @@ impl DeviceConfig {
             }
             if !(low.is_finite() && high.is_finite() && low < high) {
                 return Err(DeviceConfigError::Range { name, low: *low, high: *high });
+            }
+        }
+        let numbers: Vec<_> = names_of(self.values).collect();
+        for (index, (name, second)) in numbers.iter().enumerate() {
+            if let Some((_, first)) = numbers[..index].iter().find(|(other, _)| other == name) {
+                return Err(DeviceConfigError::Number { first: first.name, second: second.name });
             }
         }
         let LineConfig { settings, query, answer, interval, answer_delay: delay, .. } = self.line;

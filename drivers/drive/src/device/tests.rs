@@ -274,6 +274,19 @@ fn jitter_of_the_cycle_skips_no_query_and_an_interval_is_rounded_up_to_a_period(
 }
 
 #[test]
+fn a_device_that_answers_at_once_has_the_greatest_rate() {
+    for (line, periods) in [(config().line, 2), (config().line.numbered(), 1)] {
+        let mut rig = Rig::new(DeviceConfig { line, ..config() }, Script { cm: 30, ..Script::default() });
+        rig.bring_up().unwrap();
+        let before = rig.link.read().sample.number;
+        let begun = rig.now;
+        rig.until(|state| state.sample.number == before + 100);
+        assert_eq!(line.least_sample_time(PERIOD), periods * PERIOD);
+        assert!(rig.now.since(begun).abs_diff(100 * periods * PERIOD) <= 2 * PERIOD, "{:?}", rig.now.since(begun));
+    }
+}
+
+#[test]
 fn a_driver_without_a_query_has_no_valid_sample_after_its_time() {
     let driver = Driver { asks_until: Some(Instant::ZERO + Duration::from_millis(100)), ..Driver::default() };
     let mut rig = Rig::driven(config(), driver, Script { cm: 30, ..Script::default() });
@@ -500,11 +513,14 @@ fn declarations_that_no_output_could_show_are_refused() {
     const TWICE: &[DeviceValue] = &[VALUES[0], VALUES[0]];
     const MANY: &[DeviceValue] = &[DeviceValue::new("x", "", [0.0, 1.0]).times(17)];
     const SPACED: &[DeviceValue] = &[DeviceValue::new("a b", "", [0.0, 1.0])];
+    const INDEXED: &[DeviceValue] =
+        &[DeviceValue::new("x", "", [0.0, 1.0]).times(2), DeviceValue::new("x_0", "", [0.0, 1.0])];
     const REVERSED: &[DeviceValue] = &[DeviceValue::new("x", "", [1.0, 0.0])];
     let bad = [
         (DeviceConfig { values: &[], ..config() }, "a sample of 0 numbers"),
         (DeviceConfig { values: MANY, ..config() }, "a sample of 17 numbers"),
         (DeviceConfig { values: TWICE, ..config() }, "the value \"distance\""),
+        (DeviceConfig { values: INDEXED, ..config() }, "numbers of \"x\" and \"x_0\" with the same name"),
         (DeviceConfig { values: SPACED, ..config() }, "the value \"a b\""),
         (DeviceConfig { values: REVERSED, ..config() }, "the range 1 to 0 of x"),
         (DeviceConfig { line: LineConfig::polled(Settings::EPOS, 65, 4), ..config() }, "a query of 65 bytes"),
