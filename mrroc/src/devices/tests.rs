@@ -308,7 +308,6 @@ fn absent_silent_and_torn_devices_are_named() {
 fn a_wait_for_a_dead_device_ends_with_the_fault_of_its_driver() {
     let wait = async |cell: &mut tasks::Cell| {
         let front = cell.device("front")?;
-        cell.sleep(Duration::from_millis(1_000)).await;
         loop {
             front.read().await?;
             if cell.rehearsing() {
