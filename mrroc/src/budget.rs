@@ -92,7 +92,7 @@ pub struct MessageBudget {
     /// COB-ID; absent for a telegram of a serial line.
     pub cob_id: Option<u16>,
     /// Length of the data, bytes.
-    pub bytes: u8,
+    pub bytes: u16,
     /// Time between two such messages, µs.
     pub period_us: u128,
     /// Latest end of its last bit, from the start of the cycle, µs; absent for a message that may take longer than a
@@ -142,7 +142,7 @@ fn check_bus(file: &CellFile, index: usize, sensors: &[WrenchNodeConfig]) -> any
     let rows = traffic.iter().zip(timed).map(|(traffic, (message, response))| MessageBudget {
         what: traffic.what,
         cob_id: Some(traffic.cob_id.raw()),
-        bytes: traffic.bytes,
+        bytes: traffic.bytes.into(),
         period_us: traffic.period.as_micros(),
         response_us: message.every.has_deadline().then_some(response.as_micros()),
     });
@@ -191,7 +191,7 @@ fn check_lines(file: &CellFile, index: usize) -> anyhow::Result<BusBudget> {
     let message = |what, bytes: usize, response: Duration| MessageBudget {
         what,
         cob_id: None,
-        bytes: bytes as u8,
+        bytes: bytes as u16,
         period_us: period.as_micros(),
         response_us: Some(response.as_micros()),
     };
@@ -238,7 +238,7 @@ fn of_sensor(period: Duration, sensor: &ForceSensor) -> BusBudget {
     let message = |what, bytes: usize, response: Duration| MessageBudget {
         what,
         cob_id: None,
-        bytes: bytes as u8,
+        bytes: bytes as u16,
         period_us: period.as_micros(),
         response_us: Some(response.as_micros()),
     };
@@ -272,7 +272,7 @@ fn of_matrix(period: Duration, matrix: &Ultrasonic) -> BusBudget {
     let message = |what, bytes: usize| MessageBudget {
         what,
         cob_id: None,
-        bytes: bytes as u8,
+        bytes: bytes as u16,
         period_us: exchange.as_micros(),
         response_us: None,
     };
@@ -300,11 +300,11 @@ fn of_matrix(period: Duration, matrix: &Ultrasonic) -> BusBudget {
 /// The line of a device of another crate carries one query and one answer per sample, or one answer.
 fn of_device(period: Duration, device: &Device) -> BusBudget {
     let line = device.own.line();
-    let each = line.sample_time(period);
+    let each = line.least_sample_time(period);
     let message = |what, bytes: usize| MessageBudget {
         what,
         cob_id: None,
-        bytes: bytes.try_into().unwrap_or(u8::MAX),
+        bytes: bytes.try_into().unwrap_or(u16::MAX),
         period_us: each.as_micros(),
         response_us: None,
     };

@@ -34,7 +34,7 @@ pub trait DriveGroup: Send {
 
     /// Continues while other groups of the servo are still in bring-up. The servo calls this function every period
     /// after [`bring_up`](Self::bring_up) was ready. A group whose devices watch the host, or are watched, cycles with
-    /// its axes off. Other groups do nothing.
+    /// its axes off. A group whose device sends by itself reads and drops the bytes. Other groups do nothing.
     fn wait(&mut self, _now: Instant) {}
 
     /// Reads the received frames and updates `states`, one per axis.

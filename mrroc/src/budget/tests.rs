@@ -191,3 +191,16 @@ fn the_nodes_of_a_bus_are_named_by_their_kinds() {
         assert_eq!(nodes(counts.0, counts.1, counts.2), expected);
     }
 }
+
+#[test]
+fn a_device_of_another_crate_has_its_greatest_rate_and_all_bytes_of_its_answer() {
+    use crate::devices::tests::{Ranger, text};
+    crate::devices::register::<Ranger>();
+    let cell = Cell::parse(&text("reach = 4.0\nlong = true")).unwrap();
+    let budget = of_device(cell.period(), &cell.device[0]);
+    let bytes: Vec<_> = budget.messages.iter().map(|message| message.bytes).collect();
+    assert_eq!(bytes, [1, 400]);
+    // 401 bytes take 34.8 ms at 115200 bit/s, and end in the 18th reading. One reading without bytes follows.
+    assert_eq!(budget.messages[1].period_us, 38_000);
+    assert_eq!(budget.sensor.unwrap().samples_per_s, Some(1.0 / 0.038));
+}

@@ -177,7 +177,12 @@ impl OwnSettings {
 
     /// The device of a rehearsal.
     pub(crate) fn rehearsed(&self, period: std::time::Duration) -> (RehearsedDevice, drive::device::DeviceLink) {
-        RehearsedDevice::new(&self.0.rehearsed(), self.line().sample_time(period))
+        RehearsedDevice::new(&self.rehearsed_numbers(), self.line().sample_time(period))
+    }
+
+    /// The numbers of the sample of a rehearsal.
+    pub(crate) fn rehearsed_numbers(&self) -> Vec<f64> {
+        self.0.rehearsed()
     }
 
     pub(crate) fn table(&self) -> Result<toml::Value, toml::ser::Error> {

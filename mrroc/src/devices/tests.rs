@@ -22,6 +22,9 @@ pub(crate) struct Ranger {
     /// Answers that are cut after three bytes.
     #[serde(default)]
     torn: bool,
+    /// Answers of up to 400 bytes.
+    #[serde(default)]
+    long: bool,
 }
 
 impl OwnDevice for Ranger {
@@ -32,7 +35,9 @@ impl OwnDevice for Ranger {
     type Emulator = Sensor;
 
     fn line(&self) -> LineConfig {
-        LineConfig::polled(Settings { baud: 115_200, stop_bits: StopBits::One }, 1, 4).every(Duration::from_millis(10))
+        let answer = if self.long { 400 } else { 4 };
+        LineConfig::polled(Settings { baud: 115_200, stop_bits: StopBits::One }, 1, answer)
+            .every(Duration::from_millis(10))
     }
 
     fn driver(&self) -> Driver {
@@ -41,6 +46,11 @@ impl OwnDevice for Ranger {
 
     fn emulator(&self) -> Sensor {
         Sensor { reach: self.reach, sent: 0, torn: self.torn }
+    }
+
+    fn rehearsed(&self) -> Vec<f64> {
+        // Keys that a check of the kind forgets.
+        if self.reach == 99.0 { vec![1.0] } else { vec![0.5 * self.reach, 1.0, 7.0] }
     }
 
     fn check(&self) -> Result<(), String> {
@@ -104,7 +114,7 @@ impl LineEmulator for Sensor {
 }
 
 /// The text of a cell with a ranger that looks along x at a wall at x = 1.5 m from x = 1 m.
-fn text(keys: &str) -> String {
+pub(crate) fn text(keys: &str) -> String {
     let cell = include_str!("../../../cells/irb6.toml");
     let device = format!(
         "[[device]]\nname = \"front\"\nkind = \"test-ranger\"\nline = \"/dev/ttyUSB7\"\n\
@@ -132,7 +142,7 @@ fn keys_of_a_device_are_checked_with_line_key_and_the_known_words() {
     assert_eq!(
         said("raech = 4.0"),
         format!(
-            "{line}: device[0].raech: is an unknown key, must be \"reach\" or \"torn\"; keys of every device are name, \
+            "{line}: device[0].raech: is an unknown key, must be \"reach\", \"torn\" or \"long\"; keys of every device are name, \
              kind, line, robot, position, quaternion, tolerated_missing, boot_timeout_ms, emulator"
         )
     );
@@ -141,6 +151,8 @@ fn keys_of_a_device_are_checked_with_line_key_and_the_known_words() {
     assert_eq!(said("reach = 4.0\nrobot = 3").split(": ").next(), Some(&*(line + 1).to_string()));
     assert!(said("reach = 4.0\nrobot = \"irb7\"").contains("device[0].robot: no robot is called \"irb7\""));
     assert!(said("reach = 0.0").contains("device[0]: has no reach"));
+    assert!(said("reach = 30.0").ends_with("device[0].kind: declares 15 as distance for a rehearsal, must be 0 to 9"));
+    assert!(said("reach = 99.0").ends_with("device[0].kind: declares 1 number for a rehearsal, must be 3"));
     assert!(said("reach = 4.0\nemulator = { deaf = true }").contains("device[0].emulator.deaf: is an unknown key"));
     assert!(said("reach = 4.0\nemulator = { silent_from_s = -1.0 }").contains("emulator.silent_from_s: is -1"));
     let other = text("reach = 4.0").replace("test-ranger", "acme-range");
@@ -290,6 +302,22 @@ fn absent_silent_and_torn_devices_are_named() {
     let (_directory, torn) = file("reach = 4.0\ntorn = true");
     let report = run(&torn, &RunOptions::on(BenchKind::Lockstep), wait).unwrap();
     assert!(report.faults[0].what.contains("readings since the last sample were no answer"), "{:?}", report.faults);
+}
+
+#[test]
+fn a_wait_for_a_dead_device_ends_with_the_fault_of_its_driver() {
+    let wait = async |cell: &mut tasks::Cell| {
+        let front = cell.device("front")?;
+        loop {
+            front.read().await?;
+            if cell.rehearsing() {
+                return Ok(());
+            }
+        }
+    };
+    let (_directory, silent) = file("reach = 4.0\nemulator = { silent_from_s = 1.0 }\ntolerated_missing = 9");
+    let report = run(&silent, &RunOptions::on(BenchKind::Lockstep), wait).unwrap();
+    assert!(report.faults[0].what.starts_with("device front: no answer for 10 samples"), "{:?}", report.faults);
 }
 
 #[cfg(feature = "recording")]

@@ -194,6 +194,7 @@ mod tests {
                     program with it";
         assert_eq!(refused, said);
         assert!(Facts::default().check_devices().is_ok());
+        assert_eq!(super::super::kind_of("range of the crate x of the crate acme"), "range of the crate x");
     }
 
     /// Profile, metadata, and create time of the attachment of a file without messages.

@@ -378,12 +378,19 @@ pub(crate) fn flight_directory(file: &CellFile, options: &RunOptions) -> anyhow:
 /// Prefix of the keys of the facts that name kind and crate of a device of another crate.
 const DEVICE: &str = "device ";
 
+/// Text between kind and crate in such a fact. The name of a crate has no space, the name of a kind may have one.
+const OF_CRATE: &str = " of the crate ";
+
+/// The kind in a fact of a device.
+fn kind_of(fact: &str) -> &str {
+    fact.rsplit_once(OF_CRATE).map_or(fact, |(kind, _)| kind)
+}
+
 impl Facts {
     /// Refuses a recording with a kind of device that this program does not know.
     fn check_devices(&self) -> anyhow::Result<()> {
         for (name, kind) in self.texts.iter().filter_map(|(key, kind)| Some((key.strip_prefix(DEVICE)?, kind))) {
-            let known = OwnKind::named(kind.split(' ').next().unwrap_or_default());
-            if known.is_err() {
+            if OwnKind::named(kind_of(kind)).is_err() {
                 let (name, kind) = (printable(name), printable(kind));
                 bail!("device {name} is of kind {kind}, which this program does not know: replay by a program with it");
             }
@@ -403,7 +410,7 @@ impl Facts {
         let texts = [("version", env!("CARGO_PKG_VERSION")), ("bench", bench.name()), ("cell", &file.cell.name)];
         let mut texts: BTreeMap<_, _> = texts.map(|(key, text)| (key.to_owned(), text.to_owned())).into();
         texts.extend(file.cell.device.iter().map(|device| {
-            let kind = format!("{} of the crate {}", device.own.kind(), device.own.of_crate());
+            let kind = format!("{}{OF_CRATE}{}", device.own.kind(), device.own.of_crate());
             (format!("{DEVICE}{}", device.keys.name), kind)
         }));
         Ok(Self { texts, utc_of_zero, files })

@@ -11,8 +11,8 @@ use thiserror::Error;
 use super::TaskError;
 use crate::cell;
 
-/// Sample times, in addition to the tolerated missing samples, within which a sample measured after the call arrives.
-const PATIENCE: u32 = 4;
+/// Lost samples, beside the tolerated ones, before a wait ends: the fault of the driver comes first.
+const PATIENCE: u32 = 2;
 
 /// A device of a kind that the program has added.
 #[derive(Clone)]
@@ -52,7 +52,7 @@ pub struct DeviceReading {
 impl Device {
     pub(super) fn new(given: &cell::Device, link: DeviceLink, agents: Agents, period: Duration) -> Self {
         let line = given.own.line();
-        let each = line.sample_time(period).max(line.answer_timeout(period));
+        let each = line.sample_time(period).max(line.loss_time(period));
         Self {
             name: given.keys.name.as_str().into(),
             kind: given.own.kind(),
@@ -95,7 +95,7 @@ impl Device {
     }
 
     /// Waits for a sample that is measured after the call. Fails if the device has a fault, or if no such sample
-    /// arrives within the tolerated missing samples and four more.
+    /// arrives in the time of the tolerated missing samples and two more. The fault of a silent device comes first.
     pub async fn read(&self) -> Result<DeviceReading, TaskError> {
         let called = self.now().await;
         let mut waited = Duration::ZERO;

@@ -15,12 +15,14 @@ pub const MOST_QUERY: usize = 64;
 ///
 /// Methods with a default may be added to this trait; every other change is announced in the change log.
 pub trait LineDriver: Send + 'static {
-    /// Writes the next query into the front of `query`, and returns its length. 0: no query is due in this cycle. Not
-    /// called for a device that sends by itself ([`LineConfig::query`] is 0).
+    /// Writes the next query into the front of `query`, and returns its length. 0: no query is due in this cycle. A
+    /// sample counts as missing if no query follows for the interval and the time limit of an answer. Not called for a
+    /// device that sends by itself ([`LineConfig::query`] is 0).
     fn query(&mut self, now: Instant, query: &mut [u8; MOST_QUERY]) -> usize;
 
-    /// Takes the next byte from the device. With the last byte of a valid answer, writes the numbers of the sample into
-    /// `values`, in the order of their declaration. NaN stands for a number that the device did not measure.
+    /// Takes the next byte from the device. At the last byte of a valid answer, `values` must hold the numbers of the
+    /// sample, in the order of their declaration. NaN stands for a number that the device did not measure. All values
+    /// are NaN at the first byte of an answer, and remain from byte to byte of an answer.
     fn receive(&mut self, byte: u8, now: Instant, values: &mut [f64]) -> Reception;
 
     /// Forgets an answer that has begun and not ended.
@@ -57,7 +59,8 @@ pub struct LineConfig {
     pub interval: Duration,
     /// Greatest time from the end of a query to the first byte of its answer.
     pub answer_delay: Duration,
-    /// Whether answers carry the number of their query, which the driver compares.
+    /// Whether answers carry the number of their query, which the driver compares. Without a number, the line has one
+    /// reading without bytes before each query.
     pub is_numbered: bool,
 }
 
@@ -115,6 +118,32 @@ impl LineConfig {
     /// number that takes up to three times its limit is therefore not taken for the answer to a later query.
     pub fn quiet_time(&self, period: Duration) -> Duration {
         if self.is_numbered || self.is_streamed() { Duration::ZERO } else { 2 * self.answer_timeout(period) }
+    }
+
+    /// Time from one query to the next, rounded up to a whole number of periods.
+    pub(super) fn query_interval(&self, period: Duration) -> Duration {
+        match self.interval.as_nanos().div_ceil(period.as_nanos().max(1)).try_into() {
+            Ok(periods) if !period.is_zero() => period * periods,
+            _ => self.interval,
+        }
+    }
+
+    /// Greatest time from one missing sample to the next.
+    pub fn loss_time(&self, period: Duration) -> Duration {
+        let interval = if self.is_streamed() { Duration::ZERO } else { self.interval };
+        interval + self.answer_timeout(period) + self.quiet_time(period) + 2 * period
+    }
+
+    /// Shortest time between two samples: the device answers at once.
+    pub fn least_sample_time(&self, period: Duration) -> Duration {
+        if self.is_streamed() {
+            return self.interval;
+        }
+        let nanos = period.as_nanos().max(1);
+        // An answer that is not numbered precedes a reading without bytes.
+        let readings = self.line_time().as_nanos().div_ceil(nanos).max(1) + u128::from(!self.is_numbered);
+        let least = period * u32::try_from(readings).unwrap_or(u32::MAX);
+        least.max(self.query_interval(period))
     }
 
     /// Time from one sample to the next without lost answers.

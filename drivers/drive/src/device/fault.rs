@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use can::{counted, counted_as};
 use serial::LineError;
 use thiserror::Error;
 
@@ -17,10 +18,13 @@ pub enum DeviceFault {
     #[error("device ended, its line has no controller any more")]
     Ended,
     /// More samples in a row than tolerated are missing.
-    #[error("no answer for {samples} samples: check cable and supply of the device")]
+    #[error("no answer for {}: check cable and supply of the device", counted(*.samples, "sample"))]
     Silent { samples: u32 },
     /// More samples in a row than tolerated are missing, and `readings` readings were no valid answer.
-    #[error("{readings} readings since the last sample were no answer: check the cable of the device and restart it")]
+    #[error(
+        "{} no answer: check the cable of the device and restart it",
+        counted_as(*.readings, "reading since the last sample was", "readings since the last sample were")
+    )]
     Garbage { readings: u32 },
     /// The device refused a query.
     #[error("the device refused a query with code {code}: check its settings")]
@@ -38,7 +42,10 @@ pub enum DeviceError {
     #[error("no answer, waited {waited:.1?}: check supply and cable of the device, and its baud rate")]
     Absent { waited: Duration },
     /// Bytes were received, but no valid answer.
-    #[error("{bytes} bytes and no valid answer among them: check the baud rate and the device on the line")]
+    #[error(
+        "{} and no valid answer: check the baud rate and the device on the line",
+        counted(*.bytes, "byte")
+    )]
     Garbled { bytes: u32 },
     /// The device refused the query.
     #[error("the device refused the query with code {code}: check its settings")]
@@ -78,6 +85,20 @@ pub(super) fn of_words([kind, number]: [u64; 2]) -> Option<DeviceFault> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn one_sample_one_reading_and_one_byte_are_singular() {
+        let said = [
+            DeviceFault::Silent { samples: 1 }.to_string(),
+            DeviceFault::Garbage { readings: 1 }.to_string(),
+            DeviceError::Garbled { bytes: 1 }.to_string(),
+        ];
+        let begins =
+            ["no answer for 1 sample:", "1 reading since the last sample was no answer", "1 byte and no valid answer"];
+        for (said, begin) in said.iter().zip(begins) {
+            assert!(said.starts_with(begin), "{said}");
+        }
+    }
 
     #[test]
     fn every_fault_survives_its_words() {

@@ -10,7 +10,7 @@ use thiserror::Error;
 use super::driver::{LineConfig, LineDriver, MOST_QUERY, Reception};
 use super::fault::{DeviceError, DeviceFault};
 use super::state::{DeviceLink, DeviceSample, DeviceSamples, DeviceState, DriverEnds, ends};
-use super::value::{DeviceValue, MOST_VALUES, count_of};
+use super::value::{DeviceValue, MOST_VALUES, count_of, names_of};
 use crate::{AxisCommand, AxisState, BringUpError, DriveGroup, GroupCounters};
 
 /// Greatest length of one reading, bytes: the size of Linux's tty buffer. One reading therefore empties the buffer.
@@ -39,6 +39,8 @@ pub enum DeviceConfigError {
     Values { count: usize },
     #[error("the value {name:?}, must have letters, digits and _ alone, and another name than the values before")]
     Name { name: &'static str },
+    #[error("numbers of {first:?} and {second:?} with the same name, as several numbers of a value end in their index")]
+    Number { first: &'static str, second: &'static str },
     #[error("the range {low} to {high} of {name}, must be two finite numbers in ascending order")]
     Range { name: &'static str, low: f64, high: f64 },
     #[error("{baud} bit/s, must be 300 to 4000000")]
@@ -70,6 +72,12 @@ impl DeviceConfig {
             }
             if !(low.is_finite() && high.is_finite() && low < high) {
                 return Err(DeviceConfigError::Range { name, low: *low, high: *high });
+            }
+        }
+        let numbers: Vec<_> = names_of(self.values).collect();
+        for (index, (name, second)) in numbers.iter().enumerate() {
+            if let Some((_, first)) = numbers[..index].iter().find(|(other, _)| other == name) {
+                return Err(DeviceConfigError::Number { first: first.name, second: second.name });
             }
         }
         let LineConfig { settings, query, answer, interval, answer_delay: delay, .. } = self.line;
@@ -116,8 +124,17 @@ pub struct DeviceOnLine<L: Line, D: LineDriver> {
     /// Begin of the bring-up under way, and bytes since then.
     bring_up: Option<(Instant, u32)>,
     exchange: Exchange,
+    /// Interval of the queries, a whole number of periods.
+    every: Duration,
     /// Time of the last query.
-    asked: Instant,
+    asked: Option<Instant>,
+    /// Times of the last reading and of the reading before.
+    last_read: Instant,
+    read_before: Instant,
+    /// A sample of a device that sends by itself is dropped if its measurement may be older.
+    fresh_from: Instant,
+    /// Numbers of the answer under way.
+    values: [f64; MOST_VALUES],
     /// Whether an answer has begun and not ended.
     is_within: bool,
     /// Missing samples in a row, and readings without a valid answer since the last sample.
@@ -134,12 +151,20 @@ pub struct DeviceOnLine<L: Line, D: LineDriver> {
     buffer: Box<[u8; READING]>,
 }
 
+/// The numbers of an answer before its first byte: not measured.
+fn blank(count: usize) -> [f64; MOST_VALUES] {
+    let mut values = [0.0; MOST_VALUES];
+    values.iter_mut().take(count).for_each(|number| *number = f64::NAN);
+    values
+}
+
 /// State of the exchange with a device.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Exchange {
-    /// No answer is due, and the next query may be sent from this time on.
-    Idle { from: Instant },
-    /// A sample is due. `at`: end of the query, or end of the last sample of a device that sends by itself.
+    /// No answer is due, and the next query may be sent from this time on. Counts the readings in this state.
+    Idle { from: Instant, readings: u32 },
+    /// A sample is due: the query was sent at `at`, or the sample before of a device that sends by itself was received
+    /// or missing at `at`.
     Due { at: Instant },
     /// The last query ended without an answer at `since`. The line has been quiet from `quiet` on. The next query waits
     /// until this time is long enough.
@@ -161,8 +186,13 @@ impl<L: Line, D: LineDriver> DeviceOnLine<L, D> {
             config,
             count,
             bring_up: None,
-            exchange: Exchange::Idle { from: Instant::ZERO },
-            asked: Instant::ZERO,
+            exchange: Exchange::Idle { from: Instant::ZERO, readings: 0 },
+            every: config.line.query_interval(config.period),
+            asked: None,
+            last_read: Instant::ZERO,
+            read_before: Instant::ZERO,
+            fresh_from: Instant::ZERO,
+            values: blank(count),
             is_within: false,
             missing: 0,
             garbage: 0,
@@ -199,44 +229,90 @@ impl<L: Line, D: LineDriver> DeviceOnLine<L, D> {
         self.exchange = if streamed { Exchange::Due { at: now } } else { draining };
     }
 
+    /// Ends an exchange. The next query waits for its interval, and is not sent before `earliest`. A cycle may begin
+    /// early by half a period.
+    fn rest(&self, earliest: Instant) -> Exchange {
+        let due = self.asked.map(|asked| asked + self.every - self.config.period / 2);
+        Exchange::Idle { from: due.map_or(earliest, |due| due.max(earliest)), readings: 0 }
+    }
+
+    /// The exchange after an answer. Without a number of the query, a repeated answer could be taken for the next one:
+    /// one reading without bytes comes before the next query.
+    fn after_answer(&self, now: Instant) -> Exchange {
+        let LineConfig { is_numbered, .. } = self.config.line;
+        match self.config.line.is_streamed() {
+            true => Exchange::Due { at: now },
+            false if is_numbered => self.rest(now),
+            false => self.rest(now + self.config.period / 2),
+        }
+    }
+
+    /// Earliest time of the first byte of an answer of a device that sends by itself, if the answer ends in the last
+    /// reading. The reading before emptied the buffer of the tty.
+    fn sent_from(&self) -> Instant {
+        let LineConfig { settings, answer, .. } = self.config.line;
+        self.read_before - settings.line_time(answer)
+    }
+
     fn forget_answer(&mut self) {
         self.driver.restart();
+        self.end_answer();
+    }
+
+    fn end_answer(&mut self) {
         self.is_within = false;
+        self.values = blank(self.count);
+    }
+
+    /// Reads once. Returns the number of bytes.
+    fn fetch(&mut self, now: Instant) -> Result<usize, serial::LineError> {
+        let count = self.line.read(now, &mut self.buffer[..])?;
+        self.read_before = std::mem::replace(&mut self.last_read, now);
+        Ok(count)
     }
 
     /// Takes the bytes of one reading.
     fn take(&mut self, count: usize, now: Instant) {
-        if let Exchange::Draining { quiet, .. } = &mut self.exchange {
-            if count > 0 {
-                *quiet = now;
-            } else if now.since(*quiet) >= self.config.line.quiet_time(self.config.period) {
-                self.forget_answer();
-                self.exchange = Exchange::Idle { from: now };
-                return;
+        match &mut self.exchange {
+            Exchange::Idle { from, readings } => {
+                *readings = readings.saturating_add(1);
+                if count > 0 && !self.config.line.is_numbered {
+                    *from = (*from).max(now + self.config.period / 2);
+                }
+            }
+            Exchange::Due { .. } => {}
+            Exchange::Draining { quiet, .. } if count > 0 => *quiet = now,
+            Exchange::Draining { quiet, .. } => {
+                if now.since(*quiet) >= self.config.line.quiet_time(self.config.period) {
+                    self.forget_answer();
+                    self.exchange = self.rest(now);
+                    return;
+                }
             }
         }
+        let is_old = self.config.line.is_streamed() && self.sent_from() < self.fresh_from;
         let mut strange = 0;
         for index in 0..count {
             let byte = self.buffer[index];
-            let mut values = [0.0; MOST_VALUES];
-            let numbers = values.get_mut(..self.count).unwrap_or_default();
-            match self.driver.receive(byte, now, numbers) {
-                Reception::Pending => self.is_within = true,
-                Reception::Skipped => {
-                    self.is_within = false;
-                    strange += 1;
-                }
-                Reception::Sample => {
-                    self.is_within = false;
-                    strange += u64::from(!self.accept(values, now));
-                }
+            let numbers = self.values.get_mut(..self.count).unwrap_or_default();
+            let reception = self.driver.receive(byte, now, numbers);
+            let values = self.values;
+            if reception == Reception::Pending {
+                self.is_within = true;
+                continue;
+            }
+            self.end_answer();
+            match reception {
+                Reception::Pending => {}
+                Reception::Skipped => strange += 1,
+                Reception::Sample | Reception::Refused(_) if is_old => self.exchange = self.after_answer(now),
+                Reception::Sample => strange += u64::from(!self.accept(values, now)),
                 Reception::Refused(code) => {
-                    self.is_within = false;
                     if let Exchange::Due { .. } = self.exchange {
                         self.refusal = Some(code);
                         self.latch(DeviceFault::Refused { code });
                         self.miss();
-                        self.exchange = Exchange::Idle { from: now };
+                        self.exchange = self.after_answer(now);
                     } else {
                         strange += 1;
                     }
@@ -254,17 +330,12 @@ impl<L: Line, D: LineDriver> DeviceOnLine<L, D> {
         let Exchange::Due { at } = self.exchange else { return false };
         let mut numbers = values.iter();
         for value in self.config.values {
-            let [low, high] = value.range;
-            if numbers.by_ref().take(value.count).any(|number| !(number.is_nan() || (low..=high).contains(number))) {
+            if numbers.by_ref().take(value.count).any(|number| !value.permits(*number)) {
                 return false;
             }
         }
-        let LineConfig { settings, answer, interval, .. } = self.config.line;
-        let streamed = self.config.line.is_streamed();
-        // Bytes may have waited up to one period for the cycle.
-        let not_before = if streamed { now - self.config.period - settings.line_time(answer) } else { at };
-        self.exchange =
-            if streamed { Exchange::Due { at: now } } else { Exchange::Idle { from: self.asked + interval } };
+        let not_before = if self.config.line.is_streamed() { self.sent_from() } else { at };
+        self.exchange = self.after_answer(now);
         self.own_counters.samples += 1;
         (self.missing, self.garbage) = (0, 0);
         if std::mem::take(&mut self.resetting) {
@@ -283,12 +354,13 @@ impl<L: Line, D: LineDriver> DeviceOnLine<L, D> {
         self.missing = self.missing.saturating_add(1);
     }
 
-    /// Ends a query that has no answer within its time. A line that does not become quiet delays the next query, whose
-    /// sample then counts as missing too.
+    /// Ends a query without an answer in its time. A line that does not become quiet, or a driver without a query,
+    /// delays the next query, which then counts as missing too. A device that sends by itself misses one sample per
+    /// interval; the first of a row has the spare time of an answer.
     fn judge(&mut self, now: Instant) {
         let (line, period) = (self.config.line, self.config.period);
         let (since, longest) = match self.exchange {
-            Exchange::Idle { .. } => return,
+            Exchange::Idle { readings, .. } => (now - period * readings, self.every + line.answer_timeout(period)),
             Exchange::Due { at } => (at, line.answer_timeout(period)),
             Exchange::Draining { since, .. } => (since, line.answer_timeout(period) + line.quiet_time(period)),
         };
@@ -300,7 +372,11 @@ impl<L: Line, D: LineDriver> DeviceOnLine<L, D> {
             self.garbage = self.garbage.saturating_add(1);
         }
         self.miss();
-        self.listen(now);
+        match &mut self.exchange {
+            Exchange::Idle { readings, .. } => *readings = 0,
+            Exchange::Due { at } if line.is_streamed() => *at += line.interval,
+            Exchange::Due { .. } | Exchange::Draining { .. } => self.listen(now),
+        }
         if self.missing > self.config.tolerated_missing {
             self.latch(match self.garbage {
                 0 => DeviceFault::Silent { samples: self.missing },
@@ -311,7 +387,7 @@ impl<L: Line, D: LineDriver> DeviceOnLine<L, D> {
 
     /// Reads once, and judges the exchange.
     fn receive(&mut self, now: Instant) -> Result<usize, serial::LineError> {
-        let read = self.line.read(now, &mut self.buffer[..]);
+        let read = self.fetch(now);
         self.take(*read.as_ref().unwrap_or(&0), now);
         self.judge(now);
         read
@@ -320,7 +396,7 @@ impl<L: Line, D: LineDriver> DeviceOnLine<L, D> {
     /// Sends the next query, if it is due.
     fn ask(&mut self, now: Instant) -> Result<(), serial::LineError> {
         match self.exchange {
-            Exchange::Idle { from } if now >= from && !self.config.line.is_streamed() => {}
+            Exchange::Idle { from, .. } if now >= from && !self.config.line.is_streamed() => {}
             Exchange::Idle { .. } | Exchange::Due { .. } => return Ok(()),
             // A stalled line may still hold the last query.
             Exchange::Draining { .. } => {
@@ -328,13 +404,18 @@ impl<L: Line, D: LineDriver> DeviceOnLine<L, D> {
                 return Ok(());
             }
         }
+        if self.is_within {
+            // The rest of an answer to no query must not be taken for the answer.
+            self.listen(now);
+            return Ok(());
+        }
         let mut query = [0; MOST_QUERY];
         let length = self.driver.query(now, &mut query).min(MOST_QUERY);
         if length == 0 {
             return Ok(());
         }
-        self.asked = now;
-        // A query of which the line took only a part is treated like a query without an answer.
+        self.asked = Some(now);
+        // A query that the line did not take whole ends like a query without an answer.
         self.exchange = Exchange::Due { at: now + self.config.line.settings.line_time(length) };
         let written = self.line.write(now, query.get(..length).unwrap_or_default());
         let port = &mut self.counters.port;
@@ -393,8 +474,10 @@ impl<L: Line, D: LineDriver> DriveGroup for DeviceOnLine<L, D> {
                 self.bring_up = Some((now, 0));
                 self.state = DeviceState { at: now, ..DeviceState::NOT_STARTED };
                 self.forget_answer();
-                // Old bytes are drained first. A device that sends by itself is never quiet.
+                // Old bytes are drained first. A device that sends by itself is never quiet: its old samples are
+                // dropped.
                 self.listen(now);
+                self.fresh_from = now;
                 (self.missing, self.garbage, self.resetting, self.refusal) = (0, 0, false, None);
                 self.own_counters = DeviceCounters::default();
                 now
@@ -414,12 +497,27 @@ impl<L: Line, D: LineDriver> DriveGroup for DeviceOnLine<L, D> {
         Poll::Ready(result.map_err(|error| BringUpError::Device { error }))
     }
 
+    /// Drops what a device sends by itself, so that no byte waits for the first cycle.
+    fn wait(&mut self, now: Instant) {
+        if !self.config.line.is_streamed() {
+            return;
+        }
+        self.fresh_from = now;
+        match self.fetch(now) {
+            Ok(count) => self.take(count, now),
+            Err(error) => self.latch(DeviceFault::Line(error)),
+        }
+        self.listen(now);
+        (self.missing, self.garbage) = (0, 0);
+    }
+
     fn read(&mut self, now: Instant, _states: &mut [AxisState]) {
         self.state.at = now;
-        if self.ends.reset.take() && self.state.fault.is_some() {
+        if self.ends.reset.take() && self.state.fault.is_some() && !self.resetting {
             // The sample that ends the fault is measured after the request.
             self.resetting = true;
-            if matches!(self.exchange, Exchange::Due { .. }) && !self.config.line.is_streamed() {
+            self.fresh_from = now;
+            if matches!(self.exchange, Exchange::Due { .. }) {
                 self.listen(now);
             }
             (self.missing, self.garbage) = (0, 0);

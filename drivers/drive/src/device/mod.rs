@@ -8,9 +8,13 @@
 //! # The cycle
 //! A cycle reads once, and writes a query if the last exchange has ended and the interval of the device has passed. A
 //! query without a valid answer within its time is lost. The next query then waits until the line was quiet for twice
-//! this time, so that a late answer is not taken for the answer to another query. If answers carry the number of their
-//! query, the driver compares the number, and the next query waits for one reading without bytes
-//! ([`LineConfig::numbered`]). A device without queries sends by itself: its samples have a time limit too.
+//! that time, so that a late answer is not taken for the answer to another query. A driver whose answers carry the
+//! number of their query compares the number, and the line needs one reading without bytes ([`LineConfig::numbered`]).
+//! Without numbers, one reading without bytes precedes each query, so that a repeated answer is not taken for the answer
+//! to the next query. A copy that comes after that reading cannot be told from the answer.
+//!
+//! A device without queries sends by itself: its samples have a time limit too, and one is missing per interval. Samples
+//! of the time before bring-up, before the first cycle or before a reset are dropped.
 //!
 //! # Faults
 //! A fault is latched until [`DeviceLink::reset_fault`] or the next bring-up. During a fault the state keeps the last

@@ -30,6 +30,11 @@ impl DeviceValue {
     pub const fn times(self, count: usize) -> Self {
         Self { count, ..self }
     }
+
+    /// Whether a sample may have this number: the number lies within the range, or is NaN (not measured).
+    pub fn permits(&self, number: f64) -> bool {
+        number.is_nan() || (self.range[0]..=self.range[1]).contains(&number)
+    }
 }
 
 /// Number of numbers in a sample of these values.

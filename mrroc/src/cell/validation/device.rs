@@ -1,5 +1,8 @@
 //! Checks of devices of other crates.
 
+use can::counted;
+use drive::device::{DeviceValue, count_of, names_of};
+
 use super::force::{check_line_of, check_name_of, check_quaternion, check_robot};
 use super::{Checked, refused, robots::NEAR, twice, unique, within};
 use crate::cell::{Cell, Device, Path, Range};
@@ -37,6 +40,22 @@ pub(super) fn check(cell: &Cell) -> Checked {
         device.own.check().map_err(|problem| (path.clone(), problem))?;
         let of_kind = |problem| (path.then("kind"), format!("declares {problem}"));
         device.config(cell.period()).check().map_err(|problem| of_kind(problem.to_string()))?;
+        check_rehearsed(device.own.values(), &device.own.rehearsed_numbers()).map_err(of_kind)?;
+    }
+    Ok(())
+}
+
+/// A rehearsal gives the declared numbers, each within its range.
+pub(crate) fn check_rehearsed(values: &'static [DeviceValue], numbers: &[f64]) -> Result<(), String> {
+    let count = count_of(values);
+    if numbers.len() != count {
+        return Err(format!("{} for a rehearsal, must be {count}", counted(numbers.len(), "number")));
+    }
+    for ((name, value), number) in names_of(values).zip(numbers) {
+        if !value.permits(*number) {
+            let [low, high] = value.range;
+            return Err(format!("{number} as {name} for a rehearsal, must be {low} to {high}"));
+        }
     }
     Ok(())
 }
